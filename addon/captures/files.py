@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Files of a capture set: written whole or not at all, read only from inside the set."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ..errors import ScanstageError
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file under a temporary name in its folder, then give it its own, so that no half of it is ever seen.
+
+    Raises
+    ------
+    ScanstageError
+        The disk refuses.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # a rename may reach the disk before the data does
+        os.replace(temporary, path)
+    except OSError as error:
+        raise ScanstageError(f"{path.name}: cannot be written ({error.strerror}); "
+                             f"check the disk space and the rights of {path.parent}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_bytes(path: Path, most: int, name: str | None = None) -> bytes:
+    """Read a file of at most ``most`` bytes.
+
+    Parameters
+    ----------
+    name : str, optional
+        What error messages call the file; its last component if not given.
+
+    Raises
+    ------
+    ScanstageError
+        There is no such file, it is not a regular one, it is too large, or the disk refuses.
+    """
+    name = name or path.name
+    try:
+        if not path.is_file():  # a pipe would block for ever
+            raise ScanstageError(f"{name}: is not there or not a file; check the path")
+        with open(path, "rb") as file:
+            data = file.read(most + 1)
+    except OSError as error:
+        raise ScanstageError(f"{name}: cannot be read ({error.strerror}); check the path and its rights") from None
+    if len(data) > most:
+        raise ScanstageError(f"{name}: is larger than {most >> 20} MiB; check that it is the right file")
+    return data
+
+
+def inside(folder: Path, relative: str, place: str) -> Path:
+    """Return the path of a file of the set, after following links.
+
+    Parameters
+    ----------
+    folder : Path
+    relative : str
+        Checked by `schema.relative_path`.
+    place : str
+        File and field that give the path, for the error message: ``capture.json: frames[3].image``.
+
+    Raises
+    ------
+    ScanstageError
+        A link leads out of the folder.
+    """
+    path = folder / relative
+    try:
+        real = path.resolve()
+    except (OSError, RuntimeError):  # a link that leads to itself
+        raise ScanstageError(f"{place}: {relative} is a link that leads nowhere; copy the file into the set") from None
+    if not real.is_relative_to(folder.resolve()):
+        raise ScanstageError(f"{place}: {relative} is a link out of the capture set; copy the file into the set")
+    return path

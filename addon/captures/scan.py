@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A capture set as methods take it: views in the object frame, with their silhouettes.
+
+The one place where a rig's poses and the turntable's become cameras in the object frame, and pictures become masks.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ScanstageError
+from ..options import Value, resolve
+from ..progress import Progress, silent
+from ..reconstruction.scan import Scan, View
+from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS, extract
+from .files import inside
+from .pictures import read_mask, read_picture, write_mask
+from .schema import FILE_NAME, Capture, Frame
+from .store import files_of, read_capture
+
+MASKS = "masks"
+
+
+def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = None, progress: Progress = silent) -> Scan:
+    """Read a capture set's views and take their silhouettes.
+
+    Each silhouette is also written to ``masks/<frame id>.png`` in the set, to be looked at, unless the set cannot be
+    written to or already names a file of its own so. Frames under a projected pattern are left out: what
+    is projected changes the silhouette's look, and they share their pose with a frame that has none.
+
+    Parameters
+    ----------
+    folder : Path
+    silhouette_options : mapping of str to value, optional
+        By the names of `SILHOUETTE_OPTIONS`; they override those that the set itself gives.
+    progress : Progress
+
+    Returns
+    -------
+    Scan
+        ``View.read_image`` reads the picture when it is called. Masks take one byte a pixel.
+
+    Raises
+    ------
+    ScanstageError
+        The set cannot be used, frames are not rendered yet, an option is not allowed, or a silhouette is empty.
+    """
+    folder = Path(folder)
+    capture = read_capture(folder)
+    if capture.missing:
+        raise ScanstageError(f"{FILE_NAME}: missing: {len(capture.missing)} of {len(capture.frames)} frames are not "
+                             f"rendered yet (first: {capture.missing[0]}); run capture again to render them")
+    frames = [frame for frame in capture.frames if frame.pattern is None]
+    if not frames:
+        raise ScanstageError(f"{FILE_NAME}: frames: a pattern is projected in every frame; "
+                             "capture at least one frame without a pattern")
+    options = resolve(SILHOUETTE_OPTIONS, {**capture.silhouette, **(silhouette_options or {})}, "silhouette")
+    views = []
+    for index, frame in enumerate(frames):
+        progress(index / len(frames), f"Silhouette {index + 1} of {len(frames)}")
+        views.append(_view(folder, capture, frame, options))
+    progress(1.0, f"{len(frames)} silhouettes")
+    return Scan(tuple(views), None if capture.bounds is None else np.array(capture.bounds))
+
+
+def _view(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value]) -> View:
+    camera = capture.camera_of(frame)
+    mask = _silhouette(folder, capture, frame, options)
+    if not mask.any():
+        raise ScanstageError(f"{frame.image}: the silhouette of frame {frame.id} is empty; check the picture, or take "
+                             "the silhouette in another way with the silhouette options")
+    if os.access(folder, os.W_OK):
+        _write_mask(folder, capture, frame, mask)
+    return View(frame.id, camera, mask, partial(_read_image, folder / frame.image, capture.encoding, camera.size,
+                                                frame.image))
+
+
+def _silhouette(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value]) -> np.ndarray:
+    size = capture.cameras[frame.camera].size
+    rgb, alpha = read_picture(folder / frame.image, capture.encoding, size=size, name=frame.image)
+    chosen = options["silhouette"]
+    given = plate = None
+    if frame.mask is not None and chosen in ("auto", "mask"):
+        given = read_mask(folder / frame.mask, size=size, name=frame.mask)
+    if frame.camera in capture.plates and chosen in ("auto", "plate"):
+        name = capture.plates[frame.camera]
+        plate = read_picture(folder / name, capture.encoding, size=size, name=name)[0]
+    try:
+        return extract(rgb, alpha, given, plate, **options)
+    except ScanstageError as error:
+        raise ScanstageError(f"{frame.image}: {error}") from None
+
+
+def _write_mask(folder: Path, capture: Capture, frame: Frame, mask: np.ndarray) -> None:
+    relative = f"{MASKS}/{frame.id}.png"
+    inputs = {path.casefold() for _, path, _ in files_of(capture)}
+    if relative.casefold() not in inputs:
+        write_mask(inside(folder, relative, relative), mask)
+
+
+def _read_image(path: Path, encoding: str, size: tuple[int, int], name: str) -> np.ndarray:
+    return read_picture(path, encoding, size=size, name=name)[0]

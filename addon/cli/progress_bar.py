@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Progress on stderr: a bar on a terminal, one line per step elsewhere, nothing when told to be quiet."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+from ..progress import Progress
+
+_WIDTH = 30
+_SECONDS_BETWEEN_DRAWS = 0.1
+
+
+class ProgressBar:
+    """A progress callback that draws itself.
+
+    Parameters
+    ----------
+    quiet : bool
+        Draw nothing.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._stream = None if quiet else sys.stderr
+        self._terminal = bool(self._stream) and self._stream.isatty()
+        self._message, self._drawn = "", 0.0
+
+    def __call__(self, fraction: float, message: str) -> None:
+        if self._stream is None:
+            return
+        if not self._terminal:
+            if message.split(" ", 1)[0] != self._message:  # one line a kind of step, not one a picture
+                self._message = message.split(" ", 1)[0]
+                print(message, file=self._stream, flush=True)
+            return
+        now = time.monotonic()
+        if now - self._drawn < _SECONDS_BETWEEN_DRAWS and message == self._message and fraction < 1:
+            return
+        self._message, self._drawn = message, now
+        filled = round(_WIDTH * min(max(fraction, 0.0), 1.0))
+        print(f"\r{'█' * filled}{'░' * (_WIDTH - filled)} {100 * fraction:3.0f} % {message:<40.40}", end="", file=self._stream, flush=True)
+
+    def close(self) -> None:
+        """Clear the bar, so that results stand alone."""
+        if self._terminal and self._message:
+            print("\r" + " " * (_WIDTH + 50) + "\r", end="", file=self._stream, flush=True)
+        self._message = ""
+
+
+def drain(steps: Iterable[tuple[float, str]], progress: Progress) -> None:
+    """Run a generator of steps to its end, reporting each."""
+    for fraction, message in steps:
+        progress(fraction, message)
+
+
+@contextmanager
+def muted_stdout() -> Iterator[None]:
+    """Keep what Blender's own C code prints (a line per rendered frame) out of stdout, which is for results."""
+    sys.stdout.flush()
+    kept, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 1)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(sink)

@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reports as lines of text for stdout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..options import Option
+
+
+def option_lines(options: Iterable[Option]) -> list[str]:
+    """Return one line an option: name, default with unit, what it does, choices."""
+    lines = []
+    for option in options:
+        lines.append(f"  {option.name} = {option.show(option.default)}: {option.description}")
+        lines += [f"      {choice}: {meaning}" for choice, meaning in (option.choices or {}).items()]
+    return lines
+
+
+def reconstruction_lines(folder: Path, report: dict) -> list[str]:
+    """Return what a reconstruction found, for a reader."""
+    counts, grid = report["counts"], report["grid"]
+    shape = " x ".join(str(n) for n in grid["shape"])
+    lines = [
+        f"{folder}: {report['method']}, {shape} voxels of {grid['voxel_size']:.6g}",
+        f"  occupied voxels     {counts['occupied']:,} (surface {counts['surface']:,}, of which no view sees {counts['unseen']:,})",
+        f"  tests               {counts['tests']:,} of {counts['tests_dense']:,} voxels x views "
+        f"({100 * counts['tests'] / counts['tests_dense']:.1f} %)",
+        "  seconds             " + ", ".join(f"{name} {seconds:.2f}" for name, seconds in report["seconds"].items()),
+    ]
+    if report["peak_memory"]:
+        lines.append(f"  peak memory         {report['peak_memory'] / 2 ** 20:,.0f} MiB (the whole process)")
+    ious = report["silhouette_iou"]
+    if ious["mean"] is not None:
+        worst = min(ious["views"], key=ious["views"].get)
+        lines.append(f"  silhouette IoU      mean {ious['mean']:.4f}, lowest {ious['views'][worst]:.4f} (frame {worst})")
+    return lines + [f"  warning: {warning}" for warning in report["warnings"]]
+
+
+def measure_lines(measures: dict) -> list[str]:
+    """Return an evaluation, one measure a line."""
+    return [f"  {group + '.' + name:<30} {_number(value)}" for group, found in measures.items() for name, value in found.items()]
+
+
+def _number(value: float | int | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:,}" if isinstance(value, int) else f"{value:.6g}"

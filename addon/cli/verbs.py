@@ -1,0 +1,204 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The verbs. Each reads its arguments, calls one function of the project, and says what came of it.
+
+Modules that import Blender are imported where a verb needs them, so that the others answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..captures.importers import IMPORTERS as FORMATS
+from ..captures.importers import import_capture
+from ..errors import ScanstageError
+from ..options import Option
+from ..progress import Progress
+from ..reconstruction.methods import DEFAULT_VOXELS, METHODS
+from ..workflow import evaluate_result, reconstruct, reconstruct_options
+from .progress_bar import drain, muted_stdout
+from .text import measure_lines, option_lines, reconstruction_lines
+
+DEFAULT_OBJECT = "dented-sphere"
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One verb: what it adds to its parser, and what it does.
+
+    ``run(call, progress)`` returns the report; its ``lines`` go to stdout.
+    """
+
+    help: str
+    arguments: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[argparse.Namespace, Progress], dict]
+    epilog: str = ""
+
+
+def _demo_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--out", metavar="DIR", default="demo", type=Path, help="where to leave everything (default: demo)")
+
+
+def _demo(call: argparse.Namespace, progress: Progress) -> dict:
+    from .demo import run_demo
+
+    with muted_stdout():
+        return run_demo(call.out, dict(call.settings), progress)
+
+
+def _stage_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("preset", metavar="PRESET", help="a rig; `presets` lists them")
+    parser.add_argument("--out", metavar="FILE.blend", required=True, type=Path)
+    parser.add_argument("--object", metavar="NAME or FILE", default=DEFAULT_OBJECT,
+                        help=f"a built-in object (`presets` lists them) or a mesh file (default: {DEFAULT_OBJECT})")
+
+
+def _stage(call: argparse.Namespace, progress: Progress) -> dict:
+    import bpy
+
+    from ..results.blend import new_file, save_blend
+    from ..stage.readback import plan_of
+    from ..stage.staging import build
+
+    with muted_stdout():
+        new_file()
+        progress(0.1, "Building the stage")
+        build(bpy.context.scene, call.preset, call.object, dict(call.settings))
+        plan = plan_of(bpy.context.scene)
+        save_blend(call.out)
+    return {"file": str(call.out), "frames": len(plan.frames), "cameras": len(plan.cameras),
+            "lines": [f"{call.out}: {call.preset}, {len(plan.frames)} frames, {len(plan.cameras)} camera(s)"]}
+
+
+def _capture_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE.blend", type=Path, help="a staged scene")
+    parser.add_argument("--out", metavar="CAPTURE", required=True, type=Path, help="the capture set; what is there is kept")
+
+
+def _capture(call: argparse.Namespace, progress: Progress) -> dict:
+    import bpy
+
+    from ..captures.store import read_capture
+    from ..render.capture import capture_frames
+    from ..results.blend import open_blend
+
+    _no_settings(call, "capture")
+    with muted_stdout():
+        open_blend(call.file)
+        drain(capture_frames(bpy.context.scene, call.out), progress)
+    frames = len(read_capture(call.out).frames)
+    return {"capture": str(call.out), "frames": frames, "lines": [f"{call.out}: {frames} frames, all whole"]}
+
+
+def _import_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("format", metavar="FORMAT", help=", ".join(FORMATS))
+    parser.add_argument("source", metavar="SOURCE", type=Path)
+    parser.add_argument("--out", metavar="CAPTURE", required=True, type=Path)
+
+
+def _import(call: argparse.Namespace, progress: Progress) -> dict:
+    capture = import_capture(call.format, call.source, call.out, dict(call.settings), progress)
+    return {"capture": str(call.out), "frames": len(capture.frames), "lines": [f"{call.out}: {len(capture.frames)} frames"]}
+
+
+def _reconstruct_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("capture", metavar="CAPTURE", type=Path)
+    parser.add_argument("method", metavar="METHOD", help=", ".join(METHODS))
+    parser.add_argument("--out", metavar="RESULT", required=True, type=Path)
+    parser.add_argument("--voxels", metavar="N", type=int, default=DEFAULT_VOXELS,
+                        help=f"along the longest side of the bounds (default: {DEFAULT_VOXELS})")
+    parser.add_argument("--bounds", metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"), nargs=6, type=float,
+                        help="the working volume in the object frame (default: found from the views)")
+
+
+def _reconstruct(call: argparse.Namespace, progress: Progress) -> dict:
+    bounds = None if call.bounds is None else np.reshape(call.bounds, (2, 3))
+    report = reconstruct(call.capture, call.method, call.out, voxels=call.voxels, bounds=bounds, options=dict(call.settings),
+                         progress=progress)
+    return {**report, "lines": reconstruction_lines(call.out, report)}
+
+
+def _evaluate_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("result", metavar="RESULT", type=Path)
+    parser.add_argument("--truth", metavar="MESH", type=Path, help="in the object frame (default: the capture set's)")
+
+
+def _evaluate(call: argparse.Namespace, progress: Progress) -> dict:
+    from ..results.meshes import read_mesh
+
+    measures = evaluate_result(call.result, read_mesh(call.truth) if call.truth else None, options=dict(call.settings),
+                               progress=progress)
+    return {**measures, "lines": measure_lines(measures)}
+
+
+def _mesh_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("result", metavar="RESULT", type=Path)
+    parser.add_argument("--out", metavar="FILE", required=True, type=Path, help=".blend .ply .obj .stl .glb .vox, by ending")
+
+
+def _mesh(call: argparse.Namespace, progress: Progress) -> dict:
+    from ..results.export import EXPORT_OPTIONS, export_result
+
+    with muted_stdout():
+        faces = export_result(call.result, call.out, dict(call.settings), progress)
+    return {"file": str(call.out), "faces": faces, "options": [option.name for option in EXPORT_OPTIONS],
+            "lines": [f"{call.out}: {faces} faces"]}
+
+
+def _methods(call: argparse.Namespace, progress: Progress) -> dict:
+    _no_settings(call, "methods")
+    lines, report = [], {}
+    for name, method in METHODS.items():
+        options = reconstruct_options(name)
+        lines += [f"{name}: {method.description} (needs {', '.join(method.needs)})", *option_lines(options), ""]
+        report[name] = {"label": method.label, "description": method.description, "needs": method.needs,
+                        "options": _option_report(options)}
+    return {"methods": report, "lines": lines[:-1]}
+
+
+def _presets(call: argparse.Namespace, progress: Progress) -> dict:
+    from ..stage.objects import BUILTINS, IMPORTERS
+    from ..stage.presets import PRESETS
+
+    _no_settings(call, "presets")
+    lines, report = [], {}
+    for name, preset in PRESETS.items():
+        lines += [f"{name}: {preset.description}", *option_lines(preset.options), ""]
+        report[name] = {"label": preset.label, "description": preset.description, "options": _option_report(preset.options)}
+    lines.append(f"objects (--object), or a file ({' '.join(IMPORTERS)}):")
+    lines += [f"  {name}: {builtin.description}" for name, builtin in BUILTINS.items()]
+    return {"presets": report, "objects": list(BUILTINS), "lines": lines}
+
+
+def _no_arguments(parser: argparse.ArgumentParser) -> None:
+    """Verbs that only list take no argument of their own."""
+
+
+def _no_settings(call: argparse.Namespace, verb: str) -> None:
+    if call.settings:
+        raise ScanstageError(f"{verb} has no options, so --set {call.settings[0][0]} means nothing here")
+
+
+def _option_report(options: Iterable[Option]) -> list[dict]:
+    return [{"name": option.name, "default": option.show(option.default), "unit": option.unit.value,
+             "choices": list(option.choices or ()), "description": option.description} for option in options]
+
+
+VERBS = {
+    "demo": Verb("the main job end to end: stage, captures, reconstruction, voxel mesh, comparison, a .blend and pictures",
+                 _demo_arguments, _demo),
+    "stage": Verb("build a rig round an object", _stage_arguments, _stage),
+    "capture": Verb("render the plan of a staged scene into a capture set; resumes", _capture_arguments, _capture),
+    "import": Verb("turn other people's captures into a capture set", _import_arguments, _import,
+                   "formats:\n" + "\n".join(f"  {name}: {entry.description}" for name, entry in FORMATS.items())),
+    "reconstruct": Verb("run one method on a capture set", _reconstruct_arguments, _reconstruct),
+    "evaluate": Verb("compare a result with the truth", _evaluate_arguments, _evaluate),
+    "mesh": Verb("write a result's voxel mesh as a file for other programs", _mesh_arguments, _mesh),
+    "methods": Verb("list the methods with their options, units and defaults", _no_arguments, _methods),
+    "presets": Verb("list the rigs with their options, and the built-in objects", _no_arguments, _presets),
+}

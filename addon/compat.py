@@ -1,0 +1,37 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every difference between Blender 4.5 and 5.x that the add-on meets, found by feature and not by version number."""
+
+import bpy
+
+
+def node_tree(datablock: bpy.types.ID) -> bpy.types.NodeTree:
+    """Return the shader node tree of a material, world or light, made if need be.
+
+    5.x makes the tree with the data-block and deprecates ``use_nodes``; 4.5 makes it when that is switched on.
+    """
+    if datablock.node_tree is None:
+        datablock.use_nodes = True
+    return datablock.node_tree
+
+
+def set_value(owner: bpy.types.bpy_struct, name: str, value: object) -> None:
+    """Set a render or view setting, with what has to be set before it.
+
+    5.x sorts image formats into media types and refuses a format of another type than the current one.
+    """
+    if name == "file_format" and hasattr(owner, "media_type"):
+        owner.media_type = _MEDIA_TYPES.get(value, "IMAGE")
+    setattr(owner, name, value)
+
+
+def optional_settings(scene: bpy.types.Scene) -> dict[str, object]:
+    """Return the capture settings, by path from the scene, that only some versions have."""
+    settings = {}
+    if hasattr(scene.cycles, "use_pixel_jitter"):
+        # 5.x can move the only sample away from the pixel's centre, where K [R | t] says it is.
+        settings["cycles.use_pixel_jitter"] = False
+    return settings
+
+
+_MEDIA_TYPES = {"OPEN_EXR_MULTILAYER": "MULTI_LAYER_IMAGE", "FFMPEG": "VIDEO"}

@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of methods, and the one way to run them.
+
+Panels, the command line, the tests and the manual all read `METHODS`. A new method is one file and one line here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import ScanstageError
+from ..memory import available_memory, peak_memory
+from ..options import Option, Value, resolve
+from ..progress import Progress, part_of, silent
+from .geometry import VoxelGrid
+from .scan import Scan
+from .volumetric import visual_hull
+from .volumetric.coloring import SurfaceColors, color_surface
+from .volumetric.item_buffer import reprojection_iou
+from .volumetric.surface import Surface, extract_surface
+from .volumetric.volume import BRICK, SparseVolume
+
+DEFAULT_VOXELS = 128
+_BYTES_A_SURFACE_VOXEL = 450  # bricks, mesh, colours and the arrays on the way to them; see tests/reconstruction
+_BYTES_A_PIXEL = 24  # mask, its codes at every level, summed areas
+_LARGEST_GRID = 1 << 14  # voxels a side: half-voxel coordinates stay exact in the octree's sums
+
+
+@dataclass(frozen=True)
+class Method:
+    """One reconstruction method.
+
+    Parameters
+    ----------
+    name, label, description : str
+    needs : tuple of {'silhouettes', 'colour'}
+        What a capture must hold.
+    options : tuple of Option
+    function : callable
+        ``function(scan, grid, *, progress, **options) -> (SparseVolume, report)``.
+    bounds : callable
+        ``bounds(scan, **options) -> (2, 3) array``: the working volume where the user gives none.
+    """
+
+    name: str
+    label: str
+    description: str
+    needs: tuple[str, ...]
+    options: tuple[Option, ...]
+    function: Callable[..., tuple[SparseVolume, dict]]
+    bounds: Callable[..., np.ndarray]
+
+
+METHODS = {method.name: method for method in (
+    Method("visual-hull", "Visual Hull", "The largest shape with the captured silhouettes, carved by an octree",
+           ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds),
+)}
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """What running a method gives.
+
+    Parameters
+    ----------
+    volume : SparseVolume
+    surface : Surface
+        The volume's exposed faces.
+    colors : SurfaceColors
+        One colour a surface voxel.
+    report : dict
+        Plain JSON values: method, options, grid, counts, seconds, peak memory, warnings.
+    """
+
+    volume: SparseVolume
+    surface: Surface
+    colors: SurfaceColors
+    report: dict
+
+
+@dataclass
+class Stopwatch:
+    """Seconds spent in named steps."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = round(time.perf_counter() - start, 4)
+
+
+def find_method(name: str) -> Method:
+    """Return the method of that name, or raise a ScanstageError that lists them."""
+    if name not in METHODS:
+        raise ScanstageError(f"there is no method {name!r}; the methods are: {', '.join(METHODS)}")
+    return METHODS[name]
+
+
+def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds: np.ndarray | None = None,
+                options: Mapping[str, Value] | None = None, progress: Progress = silent) -> Reconstruction:
+    """Run a method on a scan: carve, extract the surface, colour it, and compare it with the silhouettes.
+
+    Parameters
+    ----------
+    scan : Scan
+    method : str
+        A name in `METHODS`.
+    voxels : int
+        Number of voxels along the longest side of the working volume.
+    bounds : (2, 3) array, optional
+        The working volume in the object frame; otherwise the scan's, or one found from the views.
+    options : mapping, optional
+        The method's options.
+
+    Raises
+    ------
+    ScanstageError
+        An option, the bounds or the views cannot be used, or the work would need more memory than there is.
+    """
+    entry = find_method(method)
+    values = resolve(entry.options, options or {}, f"method {method}")
+    watch = Stopwatch()
+    with watch.step("bounds"):
+        grid = _grid(bounds if bounds is not None else entry.bounds(scan, **values), voxels)
+        _refuse_too_large(grid, scan)
+    with watch.step("carve"):
+        volume, found = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **values)
+    with watch.step("surface"):
+        surface = extract_surface(volume)
+    with watch.step("colour"):
+        colors = color_surface(surface, grid, scan.views, part_of(progress, 0.55, 0.85))
+    with watch.step("re-projection"):
+        ious = {}
+        for index, view in enumerate(scan.views):
+            progress(0.85 + 0.15 * index / len(scan.views), "Comparing with the silhouettes")
+            if view.mask is not None:
+                ious[view.name] = round(reprojection_iou(surface, grid, view), 4)
+    warnings = found.pop("warnings")
+    if bounds is not None or scan.bounds is not None:
+        warnings += _clipped(volume)
+    report = {
+        "method": method, "options": values, "voxels": voxels,
+        "grid": {"origin": grid.origin.tolist(), "voxel_size": grid.voxel_size, "shape": list(grid.shape)},
+        "counts": {"views": len(scan.views), "occupied": volume.count(), "surface": len(surface.voxels), "quads": len(surface.quads),
+                   "unseen": int(np.count_nonzero(colors.views == 0)), "tests": found.pop("tests"), "tests_dense": found.pop("tests_dense")},
+        "silhouette_iou": {"mean": round(float(np.mean(list(ious.values()))), 4) if ious else None, "views": ious},
+        "seconds": watch.seconds, "peak_memory": peak_memory(), "warnings": warnings, **found,
+    }
+    return Reconstruction(volume, surface, colors, report)
+
+
+def _grid(bounds: np.ndarray, voxels: int) -> VoxelGrid:
+    try:
+        grid = VoxelGrid.from_bounds(bounds[0], bounds[1], voxels)
+    except ValueError as error:
+        raise ScanstageError(f"--bounds: {error}") from None
+    if max(grid.shape) > _LARGEST_GRID:
+        raise ScanstageError(f"--voxels: at most {_LARGEST_GRID} along a side, not {voxels}")
+    return grid
+
+
+def _clipped(volume: SparseVolume) -> list[str]:
+    """Return a warning if the result reaches the end of a working volume that somebody gave."""
+    lower, upper = volume.bounds()
+    sides = [f"{sign}{axis}" for i, axis in enumerate("xyz") for sign, clipped in
+             (("-", lower[i] == 0), ("+", upper[i] == volume.grid.shape[i] - 1)) if clipped]
+    return [f"the working volume clips the result at {' '.join(sides)}: give wider --bounds, or accept it if that is where the "
+            "object stands"] if sides else []
+
+
+def predicted_memory(grid: VoxelGrid, scan: Scan) -> int:
+    """Return the bytes that a reconstruction in this grid may need, for an object that fills the working volume."""
+    x, y, z = grid.shape
+    pixels = sum(view.camera.size[0] * view.camera.size[1] for view in scan.views)
+    bricks = 4 * (x // BRICK + 1) * (y // BRICK + 1) * (z // BRICK + 1)
+    return _BYTES_A_SURFACE_VOXEL * 2 * (x * y + y * z + z * x) + _BYTES_A_PIXEL * pixels + bricks
+
+
+def _refuse_too_large(grid: VoxelGrid, scan: Scan) -> None:
+    needed, there = predicted_memory(grid, scan), available_memory()
+    if needed <= there:
+        return
+    voxels = max(grid.shape)
+    while voxels > 1 and predicted_memory(VoxelGrid.from_bounds(grid.origin, grid.upper, voxels), scan) > there:
+        voxels = voxels * 7 // 8
+    raise ScanstageError(f"--voxels: {max(grid.shape)} voxels a side may need {needed / 2 ** 30:.1f} GiB of memory and "
+                         f"{there / 2 ** 30:.1f} GiB are free; at most {voxels} fit")

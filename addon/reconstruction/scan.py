@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What every method is given: the captured views, in the object frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .geometry import Camera
+
+
+@dataclass(frozen=True)
+class View:
+    """One captured picture.
+
+    Parameters
+    ----------
+    name : str
+        The frame's id, for reports.
+    camera : Camera
+        In the object frame.
+    mask : (height, width) bool array, optional
+        The silhouette: True where the object may be.
+    read_image : callable
+        Returns the picture as (height, width, 3) float32, linear RGB. Called when a method needs it, one view at a
+        time, so that a scan's pictures never lie in memory together.
+    """
+
+    name: str
+    camera: Camera
+    mask: np.ndarray | None
+    read_image: Callable[[], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Scan:
+    """All views of one capture.
+
+    Parameters
+    ----------
+    views : tuple of View
+    bounds : (2, 3) array, optional
+        Lower and upper corner of the working volume in the object frame, where the capture gives one.
+    """
+
+    views: tuple[View, ...]
+    bounds: np.ndarray | None = None

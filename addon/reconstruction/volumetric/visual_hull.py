@@ -1,0 +1,145 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The visual hull: the largest shape with the given silhouettes (Laurentini, 1994), as voxels.
+
+Each silhouette, carried back through its camera, is a cone that holds the object; the hull is what all cones share
+(Martin & Aggarwal, 1983). With the conservative rule no voxel of the true object is ever removed, provided that the
+silhouettes cover it. Concavities that no line of sight misses stay filled: that is the hull's limit, not an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...errors import ScanstageError
+from ...options import Option
+from ...progress import Progress, part_of, silent
+from ..geometry import VoxelGrid
+from ..scan import Scan, View
+from ..undistortion import undistorted_view
+from .bounds import Silhouette, bounds_from_silhouettes, spread_order
+from .octree import Counts, carve, extent_of
+from .silhouette_test import RULES, SilhouetteTest
+from .volume import SparseVolume
+
+OPTIONS = (
+    Option("rule", "conservative", "When a voxel is removed", choices=RULES),
+    Option("tolerance", 0, "How many views may see a voxel outside their silhouettes before it is removed: raise it when "
+                           "some masks or poses are wrong", minimum=0, maximum=16),
+    Option("outside", "unknown", "What lies beyond a picture's border", choices={
+        "unknown": "nothing is known there, so nothing is removed",
+        "empty": "background, so that a part of the object that leaves a picture is removed"}),
+)
+
+_LARGEST_SKEW = 0.01  # of the focal length; real sensors have none
+_LARGEST_ASPECT = 0.05  # deviation of fy / fx from the views' common one
+
+
+def silhouettes_of(views: Sequence[View], *, rule: str, outside: str) -> list[Silhouette]:
+    """Return each view's silhouette as a pinhole camera sees it.
+
+    Raises
+    ------
+    ScanstageError
+        There are no views, or one has no mask.
+    """
+    if not views:
+        raise ScanstageError("the capture has no views: a visual hull needs at least one")
+    silhouettes = []
+    for view in views:
+        if view.mask is None:
+            raise ScanstageError(f"frame {view.name} has no silhouette: choose how to take it with --set silhouette=...")
+        mask, known, camera = undistorted_view(view.mask, view.camera, conservative=rule == "conservative", outside=outside)
+        silhouettes.append(Silhouette(camera, mask, known))
+    return silhouettes
+
+
+def working_bounds(scan: Scan, *, rule: str, tolerance: int, outside: str) -> np.ndarray:
+    """Return the (2, 3) working volume: the capture's own, or one found from the silhouettes."""
+    if scan.bounds is not None:
+        return np.asarray(scan.bounds, dtype=np.float64)
+    silhouettes = silhouettes_of(scan.views, rule=rule, outside=outside)
+    order = spread_order([silhouette.camera for silhouette in silhouettes])
+    return bounds_from_silhouettes([silhouettes[i] for i in order], tolerance=tolerance, unknown_outside=outside == "unknown")
+
+
+def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tolerance: int = 0, outside: str = "unknown",
+                threads: int | None = None, progress: Progress = silent) -> tuple[SparseVolume, dict]:
+    """Carve the visual hull of a scan.
+
+    Parameters
+    ----------
+    scan : Scan
+        Every view with a mask. Cameras may have distortion, lie inside the volume or look away from parts of it.
+    grid : VoxelGrid
+    rule : {'conservative', 'center'}
+    tolerance : int
+        How many views may disagree with a voxel before it is removed.
+    outside : {'unknown', 'empty'}
+        What lies beyond a picture's border.
+    threads : int, optional
+        All processors if left out; the result is the same with any number.
+
+    Returns
+    -------
+    volume : SparseVolume
+    report : dict
+        ``tests``, ``tests_dense`` (voxels times views) and ``warnings``.
+
+    Raises
+    ------
+    ScanstageError
+        There are no views, a view has no mask, or nothing is left.
+    """
+    silhouettes = silhouettes_of(scan.views, rule=rule, outside=outside)
+    order = spread_order([silhouette.camera for silhouette in silhouettes])
+    tests = []
+    for step, index in enumerate(order):
+        tests.append(SilhouetteTest(silhouettes[index].camera, silhouettes[index].inside, grid, extent_of(grid), rule=rule,
+                                    unknown_outside=outside == "unknown"))
+        progress(0.2 * step / len(order), "Reading silhouettes")
+    volume, counts = carve(tests, grid, tolerance=tolerance, threads=threads, progress=part_of(progress, 0.2, 1.0))
+    names = [scan.views[index].name for index in order]
+    _refuse_empty(volume, counts, names)
+    dense = grid.count * len(tests)
+    return volume, {"tests": counts.tests, "tests_dense": dense, "tests_share": counts.tests / dense,
+                    "warnings": _warnings(scan)}
+
+
+def _refuse_empty(volume: SparseVolume, counts: Counts, names: Sequence[str]) -> None:
+    if len(volume.bricks) or (volume.brick_map != -1).any():
+        return
+    culprits = [name for name, left in zip(names, counts.alone, strict=True) if left == 0]
+    if culprits:
+        raise ScanstageError(f"the visual hull is empty: the view of frame {culprits[0]} alone empties the working volume; "
+                             "check its mask and pose, or the bounds")
+    raise ScanstageError("the visual hull is empty: the views contradict each other; check masks and poses, give other "
+                         "bounds, or let some views disagree with --set tolerance=1")
+
+
+def _warnings(scan: Scan) -> list[str]:
+    """Return what a user should know about the captures, one sentence each."""
+    cameras = {view.name: view.camera for view in scan.views}
+    found = []
+    mirrored = [name for name, camera in cameras.items() if camera.mirrored]
+    if mirrored:
+        found.append(f"the calibration is mirrored in {len(mirrored)} of {len(cameras)} views (first: {mirrored[0]}): "
+                     "the result is the mirror image of the object")
+    aspects = {name: camera.K[1, 1] / camera.K[0, 0] for name, camera in cameras.items()}
+    common = float(np.median(list(aspects.values())))
+    skewed = [name for name, camera in cameras.items()
+              if abs(camera.K[0, 1]) > _LARGEST_SKEW * camera.K[0, 0] or abs(aspects[name] - common) > _LARGEST_ASPECT * common]
+    if skewed:
+        found.append(f"the calibration is not metric in {len(skewed)} of {len(cameras)} views (first: {skewed[0]}; skewed or "
+                     "unequal pixels): shape and size of the result may be distorted")
+    cut = [view.name for view in scan.views if _touches_border(view.mask)]
+    if cut:
+        found.append(f"the object leaves the picture in {len(cut)} of {len(cameras)} views (first: {cut[0]}): nothing is "
+                     "removed beyond the border")
+    return found
+
+
+def _touches_border(mask: np.ndarray) -> bool:
+    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())

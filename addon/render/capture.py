@@ -1,0 +1,193 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Plays the plan on the timeline into a capture set: resumable, interruptible, never half-written.
+
+`capture.json` is there before the first picture, with every planned frame and with all of them missing, so that a
+capture that was cut short says what it lacks. A picture that is on disk and whole is not rendered again, whoever
+rendered it: a render farm that was given the .blend writes the same names.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..captures.schema import Capture, Frame, Light
+from ..captures.store import is_capture, picture_is_whole, read_capture, write_capture
+from ..errors import ScanstageError
+from ..results.ply import read_ply, write_ply
+from ..stage import ownership
+from ..stage.readback import CapturePlan, plan_of, staged_objects, truth_mesh
+from .settings import capture_settings, hidden
+
+TRUTH = "truth.ply"
+_SAME = 1e-6  # metres, pixels and matrix elements: what a plan may differ by and be the same
+
+
+def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool = True) -> Iterator[tuple[float, str]]:
+    """Render the scene's plan into a capture set, one picture a step.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        With a stage.
+    folder : path-like
+        Made if there is none.
+    resume : bool
+        Whether whole pictures that are there are kept. A set of another plan is then refused; without it, overwritten.
+
+    Yields
+    ------
+    (float, str)
+        The fraction that is done, and a message for a person. Closing the generator in between restores the scene and
+        leaves a set that lists the frames it lacks.
+
+    Raises
+    ------
+    ScanstageError
+        The scene has no stage, the folder holds a capture of something else or cannot be written, or a render fails.
+    """
+    folder = Path(folder)
+    plan = plan_of(scene)
+    truth = truth_mesh(scene)
+    planned = _capture(scene, plan)
+    if resume:
+        _check_same(folder, planned, truth)
+    _make_folders(folder, planned)
+    write_ply(folder / TRUTH, *truth, double=True)
+    sizes = {frame.id: plan.cameras[frame.camera].size for frame in plan.frames}
+    missing = [frame.id for frame in planned.frames
+               if not (resume and picture_is_whole(folder / frame.image, sizes[frame.id]))]
+    _write(folder, planned, missing)
+    try:
+        with capture_settings(scene):
+            yield from _render_plates(scene, folder, plan, planned, resume)
+            yield from _render_frames(scene, folder, plan, planned, missing)
+    finally:
+        _write(folder, planned, missing)
+    yield 1.0, f"{len(planned.frames)} frames in {folder}"
+
+
+def _capture(scene: bpy.types.Scene, plan: CapturePlan) -> Capture:
+    options = ownership.staged_options(ownership.require_stage(scene))
+    with_plates = options.get("plate", False) and options.get("backdrop", "none") != "none"
+    return Capture(
+        cameras=plan.cameras,
+        lights={id: Light(light.kind, light.position, light.direction, light.radius)
+                for id, light in plan.lights.items()},
+        frames=tuple(Frame(frame.id, f"images/{frame.id}.png", frame.camera, frame.object_to_world, frame.lights)
+                     for frame in plan.frames),
+        encoding="linear",
+        silhouette={"silhouette": _silhouette(options.get("backdrop", "none"), with_plates)},
+        plates={id: f"plates/{id}.png" for id in plan.cameras} if with_plates else {},
+        truth_mesh=TRUTH)
+
+
+def _silhouette(backdrop: str, with_plates: bool) -> str:
+    """Return the extractor of `addon.reconstruction.silhouettes` that fits what is behind the object."""
+    if backdrop == "black":
+        return "plate" if with_plates else "threshold"
+    return "chroma" if backdrop == "blue" else "alpha"
+
+
+def _write(folder: Path, planned: Capture, missing: list[str]) -> None:
+    """Write `capture.json` with what is on disk by now."""
+    plates = {camera: image for camera, image in planned.plates.items() if (folder / image).is_file()}
+    write_capture(folder, replace(planned, missing=tuple(missing), plates=plates))
+
+
+def _render_frames(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, planned: Capture,
+                   missing: list[str]) -> Iterator[tuple[float, str]]:
+    """Render the missing frames, and take each out of ``missing`` once it is on disk."""
+    total = len(planned.frames)
+    if len(missing) < total:
+        yield (total - len(missing)) / total, f"{total - len(missing)} of {total} frames are there already"
+    for frame, entry in zip(plan.frames, planned.frames, strict=True):
+        if entry.id in missing:
+            _render(scene, frame.number, folder / entry.image, plan.cameras[frame.camera].size)
+            missing.remove(entry.id)
+            yield (total - len(missing)) / total, f"frame {entry.id}, {total - len(missing)} of {total}"
+
+
+def _render_plates(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, planned: Capture,
+                   resume: bool) -> Iterator[tuple[float, str]]:
+    for camera, image in planned.plates.items():
+        size = plan.cameras[camera].size
+        if resume and picture_is_whole(folder / image, size):
+            continue
+        number = next(frame.number for frame in plan.frames if frame.camera == camera)
+        with hidden(staged_objects(scene)):
+            _render(scene, number, folder / image, size)
+        yield 0.0, f"clean plate of {camera}"
+
+
+def _render(scene: bpy.types.Scene, number: int, path: Path, size: tuple[int, int]) -> None:
+    """Render one frame of the timeline to a temporary name in the same folder, then give it its own."""
+    temporary = path.with_name(f".{path.stem}.part.png")
+    scene.render.filepath = str(temporary.with_suffix(""))  # Blender adds the ending
+    scene.frame_set(number)
+    try:
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+        if not picture_is_whole(temporary, size):
+            raise ScanstageError(f"{path}: Blender did not write this picture whole; check the disk space")
+        os.replace(temporary, path)
+    except (RuntimeError, OSError) as error:
+        raise ScanstageError(f"{path}: cannot be rendered ({str(error).strip()}); check the disk space and the rights "
+                             f"of {path.parent}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _make_folders(folder: Path, planned: Capture) -> None:
+    try:
+        for path in {folder, *((folder / frame.image).parent for frame in planned.frames),
+                     *((folder / plate).parent for plate in planned.plates.values())}:
+            path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ScanstageError(f"{folder}: cannot be made a folder ({error.strerror}); choose another") from None
+
+
+def _check_same(folder: Path, planned: Capture, truth: tuple[np.ndarray, np.ndarray]) -> None:
+    """Refuse to mix two captures in one folder."""
+    if not is_capture(folder):
+        return
+    found = read_capture(folder, require_pictures=False)
+    difference = _difference(found, planned)
+    if difference is None and (folder / TRUTH).is_file():
+        known = read_ply(folder / TRUTH)
+        difference = None if _close(known.vertices, truth[0]) and np.array_equal(known.triangles, truth[1]) \
+            else "another object"
+    if difference is not None:
+        raise ScanstageError(f"{folder}: holds a capture of another plan ({difference}); choose an empty folder, or "
+                             "remove this one")
+
+
+def _difference(found: Capture, planned: Capture) -> str | None:
+    """Return how two plans differ, in words for the user, or None if they are the same."""
+    if [frame.id for frame in found.frames] != [frame.id for frame in planned.frames]:
+        return f"{len(found.frames)} frames instead of {len(planned.frames)}"
+    if set(found.cameras) != set(planned.cameras) or set(found.lights) != set(planned.lights):
+        return "other cameras or lights"
+    for id, camera in planned.cameras.items():
+        if found.cameras[id].size != camera.size:
+            return "another resolution"
+        if not all(_close(getattr(found.cameras[id], name), getattr(camera, name)) for name in ("K", "R", "t")):
+            return f"{id} elsewhere"
+    for id, light in planned.lights.items():
+        if found.lights[id].kind != light.kind or not _close(found.lights[id].position, light.position):
+            return f"{id} elsewhere"
+    for mine, theirs in zip(planned.frames, found.frames, strict=True):
+        if replace(mine, object_to_world=None) != replace(theirs, object_to_world=None):
+            return f"frame {mine.id} with another camera or light"
+        if not _close(mine.object_to_world, theirs.object_to_world):
+            return f"frame {mine.id} at another pose"
+    return None
+
+
+def _close(a: np.ndarray, b: np.ndarray) -> bool:
+    return np.shape(a) == np.shape(b) and bool(np.allclose(a, b, rtol=_SAME, atol=_SAME))

@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Render settings for the time of a capture, put back whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import bpy
+
+from ..stage import scene_settings
+from ..stage.readback import frame_kept
+
+
+@contextmanager
+def capture_settings(scene: bpy.types.Scene) -> Iterator[None]:
+    """Apply the capture settings; restore every one of them, the output path, frame and camera when the block ends.
+
+    What the stage has decided (samples, resolution, transparency) stays as the scene has it.
+    """
+    settings = scene_settings.capture_settings(scene)
+    before = scene_settings.snapshot(scene, (*settings, "render.filepath"))
+    with frame_kept(scene):
+        try:
+            scene_settings.apply(scene, settings)
+            yield
+        finally:
+            scene_settings.apply(scene, before)
+
+
+@contextmanager
+def hidden(objects: Iterable[bpy.types.Object]) -> Iterator[None]:
+    """Keep objects out of renders while the block lasts."""
+    shown = [o for o in objects if not o.hide_render]
+    try:
+        for member in shown:
+            member.hide_render = True
+        yield
+    finally:
+        for member in shown:
+            member.hide_render = False

@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whole .blend files, for scripts: a new one, opening one, saving one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import bpy
+
+from ..errors import ScanstageError
+from .files import sibling
+
+
+def new_file() -> None:
+    """Begin with an empty scene in metres."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+def open_blend(path: Path) -> None:
+    """Open a .blend file.
+
+    Raises
+    ------
+    ScanstageError
+        There is no such file, or Blender cannot read it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ScanstageError(f"{path}: there is no such file; make one with `scanstage stage PRESET --out {path}`")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
+    except RuntimeError as error:
+        raise ScanstageError(f"{path}: Blender cannot open it ({str(error).strip().splitlines()[0]})") from None
+
+
+def save_blend(path: Path) -> None:
+    """Save the open scene, whole or not at all, with paths relative to the file.
+
+    Raises
+    ------
+    ScanstageError
+        The name does not end in .blend, or the file cannot be written.
+    """
+    path = Path(path).resolve()
+    if path.suffix != ".blend":
+        raise ScanstageError(f"{path}: a scene is saved as .blend; change the file's ending")
+    temporary = sibling(path).with_suffix(".blend")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True)
+        os.replace(temporary, path)
+    except (OSError, RuntimeError) as error:
+        raise ScanstageError(f"{path}: cannot be written ({error}); check the folder and the disk space") from None
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A result in the scene of its stage: the voxel mesh beside the object, and truth, result and error in a row.
+
+Everything lies in one collection that renders skip, so that capturing again shows the object alone.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..reconstruction.evaluation import vertex_distances
+from ..reconstruction.mesh import TriangleMesh
+from ..stage.ownership import find_stage
+from ..stage.readback import staged_objects, turntable_of
+from .comparison import add_comparison
+from .folder import Result
+from .materials import OWNER
+from .objects import add_polygon_mesh, add_voxel_mesh, remove_result
+
+COLLECTION_NAME = "Scanstage Results"
+RESULT_NAME = "Result"
+_GAP = 0.6  # between the object and the result beside it, in widths of the result
+_SHARE_IN_RANGE = 98.0  # percent of the surface whose distance the colour ramp tells apart
+
+
+def results_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Return the scene's collection of results; made if there is none."""
+    for found in scene.collection.children:
+        if found.get(OWNER) == "results":
+            return found
+    made = bpy.data.collections.new(COLLECTION_NAME)
+    made[OWNER] = "results"
+    made.hide_render = True
+    scene.collection.children.link(made)
+    return made
+
+
+def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False) -> bpy.types.Object:
+    """Put a result's voxel mesh into the scene, beside the object; an earlier one is replaced.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    result : Result
+    smooth : bool
+        Take off the voxels' steps with a live modifier.
+    """
+    width = float(np.ptp(result.surface.vertices[:, 0]))
+    beside = _staged(scene)[0]
+    beside[:3, 3] += [(1 + _GAP) * width, 0, 0]
+    attributes = {} if result.colors is None else {"views": result.colors.views.astype(np.int32)}
+    return add_voxel_mesh(RESULT_NAME, result.surface, result.colors and result.colors.rgb, collection=results_collection(scene),
+                          grid=result.volume.grid, frame=beside, method=str(result.report["method"]), attributes=attributes,
+                          smooth=smooth)
+
+
+def face_errors(result: Result, truth: TriangleMesh) -> np.ndarray:
+    """Return the signed distance of every face's centre from the truth: positive where there is too much."""
+    return vertex_distances(result.surface.vertices[result.surface.quads].mean(axis=1), truth)
+
+
+def show_comparison(scene: bpy.types.Scene, result: Result, truth: TriangleMesh, errors: np.ndarray) -> bpy.types.Collection:
+    """Lay truth, result and the result's errors side by side behind the stage; an earlier row is replaced.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    result : Result
+    truth : TriangleMesh
+        In the object frame.
+    errors : (q,) array
+        From `face_errors`; computed apart, since that takes seconds and needs no Blender.
+    """
+    home, made = results_collection(scene), []
+    table, staged = _staged(scene)
+    if staged is None:
+        staged = add_polygon_mesh("Compared Truth", truth.vertices, truth.triangles, collection=home, frame=table)
+        made.append(staged)
+    rgb = result.colors and result.colors.rgb
+    made.append(add_voxel_mesh("Compared Result", result.surface, rgb, collection=home, grid=result.volume.grid, frame=table))
+    bpy.context.view_layer.update()
+    limit = max(float(np.percentile(np.abs(errors), _SHARE_IN_RANGE)), result.volume.grid.voxel_size)
+    try:
+        row = add_comparison(staged, made[-1], errors, _rounded(limit), scene=scene, signed=True)
+    finally:
+        for model in made:
+            remove_result(model.name)
+    scene.collection.children.unlink(row)
+    home.children.link(row)
+    size = max(max(member.dimensions) for member in row.objects)
+    for member in row.objects:
+        member.matrix_world = Matrix.Translation((0, 3 * size, 0)) @ member.matrix_world
+    return row
+
+
+def _staged(scene: bpy.types.Scene) -> tuple[np.ndarray, bpy.types.Object | None]:
+    """Return where the turntable stands at angle 0, and the object on it where that is a single mesh."""
+    if find_stage(scene) is None:
+        return np.eye(4), None
+    scene.frame_set(scene.frame_start)
+    meshes = [member for member in staged_objects(scene) if member.type == 'MESH']
+    return np.array(turntable_of(scene).matrix_world), meshes[0] if len(meshes) == 1 else None
+
+
+def _rounded(value: float) -> float:
+    """Return the next number above with one digit, for a legend that can be read."""
+    unit = 10.0 ** np.floor(np.log10(value))
+    return float(np.ceil(value / unit - 1e-9) * unit)

@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The parts of a rig as ordinary Blender objects: cameras, headlights, platters and backdrops."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+
+# isort: split
+import bmesh  # exists once bpy is imported
+import numpy as np
+from mathutils import Matrix
+
+from .. import compat
+from ..reconstruction.geometry import Camera, look_at
+from . import ownership
+from .materials import Color, matte, screen
+
+BACKDROP_COLORS: dict[str, Color] = {"blue": (0.02, 0.10, 0.80), "black": (0.0, 0.0, 0.0)}
+_PLATTER_COLOR = (0.18, 0.19, 0.21)
+_OVERLAP = 1.1  # a backdrop reaches this much beyond the picture's edges
+
+
+def add_turntable(stage: bpy.types.Collection) -> bpy.types.Object:
+    """Add the empty that turns, at the world's origin."""
+    turntable = ownership.add(stage, "Scanstage Turntable", None, "turntable")
+    turntable.empty_display_type = "PLAIN_AXES"
+    return turntable
+
+
+def add_camera(stage: bpy.types.Collection, number: int, *, focal_length: float,
+               sensor_width: float) -> bpy.types.Object:
+    """Add a perspective camera; both lengths in millimetres."""
+    data = bpy.data.cameras.new(f"Scanstage Camera {number}")
+    data.lens, data.sensor_width, data.sensor_fit = focal_length, sensor_width, "AUTO"
+    return ownership.add(stage, data.name, data, "camera", device=f"camera-{number}")
+
+
+def aim(camera: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> None:
+    """Put a camera at ``centre`` and let it look at ``target`` with z upward in the picture; both in the world."""
+    R, _ = look_at(centre, target)
+    camera.matrix_basis = Matrix.LocRotScale(centre, Matrix((R.T @ np.diag((1, -1, -1))).tolist()), None)
+    distance = float(np.linalg.norm(np.asarray(target) - centre))
+    camera.data.clip_start, camera.data.clip_end = distance * 1e-3, distance * 100
+    camera.data.display_size = distance * 0.15
+
+
+def add_headlight(stage: bpy.types.Collection, camera: bpy.types.Object, number: int,
+                  distance: float) -> bpy.types.Object:
+    """Add a point light in a camera's centre: what the camera sees is lit, with no shadow and, at one sample, no noise.
+
+    Parameters
+    ----------
+    distance : float
+        In metres; a white surface that faces the light from there is seen as white (radiance 1).
+    """
+    data = bpy.data.lights.new(f"Scanstage Light {number}", "POINT")
+    data.shadow_soft_size = 0.0
+    data.energy = 4 * math.pi ** 2 * distance ** 2  # radiance of a matte surface: albedo * energy / (2 pi distance)^2
+    light = ownership.add(stage, data.name, data, "light", device=f"light-{number}")
+    light.parent = camera
+    return light
+
+
+def add_platter(stage: bpy.types.Collection, turntable: bpy.types.Object, radius: float,
+                backdrop: str) -> bpy.types.Object:
+    """Add the disc under the object: part of the backdrop where there is one, otherwise only to be looked at."""
+    mesh = bpy.data.meshes.new("Scanstage Platter")
+    disc = bmesh.new()
+    bmesh.ops.create_cone(disc, cap_ends=True, segments=96, radius1=radius, radius2=radius, depth=radius * 0.06)
+    bmesh.ops.translate(disc, verts=disc.verts, vec=(0.0, 0.0, -radius * 0.032))  # its top just below the object
+    disc.to_mesh(mesh)
+    disc.free()
+    platter = ownership.add(stage, "Scanstage Platter", mesh, "platter")
+    platter.parent = turntable
+    if backdrop == "none":
+        platter.hide_render = True  # an alpha silhouette is the object's alone
+        mesh.materials.append(matte("Scanstage Platter", _PLATTER_COLOR))
+    else:
+        mesh.materials.append(_backdrop_material(platter, backdrop))
+    return platter
+
+
+def add_backdrop(stage: bpy.types.Collection, camera: bpy.types.Object, lens: Camera, distance: float,
+                 backdrop: str, number: int) -> bpy.types.Object:
+    """Add a screen of one colour that fills a camera's picture.
+
+    Parameters
+    ----------
+    camera : bpy.types.Object
+    lens : Camera
+        The same camera as `addon.stage.readback.camera_of` reads it.
+    distance : float
+        From the camera, in metres.
+    backdrop : str
+        A name of `BACKDROP_COLORS`.
+    """
+    width, height = lens.size
+    corners = np.array([(u, v, 1.0) for u, v in ((-.5, -.5), (-.5, height - .5), (width - .5, height - .5),
+                                                  (width - .5, -.5))]) @ np.linalg.inv(lens.K).T
+    middle = corners.mean(axis=0)
+    corners = (middle + (corners - middle) * _OVERLAP) * distance * (1, -1, -1)
+    mesh = bpy.data.meshes.new(f"Scanstage Backdrop {number}")
+    mesh.from_pydata(corners.tolist(), [], [(0, 1, 2, 3)])
+    wall = ownership.add(stage, mesh.name, mesh, "backdrop")
+    wall.parent = camera
+    mesh.materials.append(_backdrop_material(wall, backdrop))
+    return wall
+
+
+def dark_world() -> bpy.types.World:
+    """Return a new world that sheds no light and is black."""
+    world = ownership.mark(bpy.data.worlds.new("Scanstage World"))
+    world.color = (0.0, 0.0, 0.0)  # what the viewport shows
+    for node in compat.node_tree(world).nodes:
+        if node.bl_idname == "ShaderNodeBackground":  # a new world is dark grey, which at one sample is noise
+            node.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+            node.inputs["Strength"].default_value = 0.0
+    return world
+
+
+def _backdrop_material(owner: bpy.types.Object, backdrop: str) -> bpy.types.Material:
+    # Seen by the camera and by nothing else: it neither lights the object nor shades it.
+    owner.visible_diffuse = owner.visible_glossy = owner.visible_transmission = owner.visible_shadow = False
+    owner.hide_select = owner.data.name.startswith("Scanstage Backdrop")
+    return screen(f"Scanstage {backdrop.title()} Backdrop", BACKDROP_COLORS[backdrop])

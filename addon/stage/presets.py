@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The rigs that can be built: one table, read by the command line, the Stage panel, the tests and the manual.
+
+A new preset is one module, with its options and its ``build``, and one line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import bpy
+
+from ..options import Option, Value
+from . import turntable
+from .objects import Subject
+
+Build = Callable[[bpy.types.Scene, bpy.types.Collection, Subject, Mapping[str, Value]], None]
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A rig.
+
+    Parameters
+    ----------
+    name : str
+        As the user types it.
+    label, description : str
+        As a panel shows it: a title, and a sentence without a full stop.
+    options : tuple of Option
+    build : callable
+        ``build(scene, stage, subject, options)`` fills the stage's collection and plans the timeline; every option has
+        a checked value.
+    """
+
+    name: str
+    label: str
+    description: str
+    options: tuple[Option, ...]
+    build: Build
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in (
+    Preset("turntable", "Turntable", "A turning table before one camera, or one at each elevation, with a headlight",
+           turntable.OPTIONS, turntable.build),
+)})

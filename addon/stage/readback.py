@@ -1,0 +1,265 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads a scene back as numbers: exact cameras, the capture plan on the timeline, the true object.
+
+The scene is the only source: what the user moves, keys or adds after staging is in the plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..errors import ScanstageError
+from ..reconstruction.geometry import Camera
+from . import ownership
+from .evaluated import render_mesh
+from .timeline import light_is_on
+
+_TO_OPENCV = np.diag((1.0, -1.0, -1.0))  # Blender's cameras look along -z with y up
+_LIGHT_KINDS = {"POINT": "point", "SUN": "sun", "SPOT": "spot"}
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light as it stands in the world.
+
+    Parameters
+    ----------
+    kind : str
+        ``point``, ``sun`` or ``spot``.
+    position : (3,) array
+    direction : (3,) array
+        Unit vector along which it shines.
+    radius : float
+        Of the luminous sphere, in metres; 0 for a sun.
+    """
+
+    kind: str
+    position: np.ndarray
+    direction: np.ndarray
+    radius: float
+
+
+@dataclass(frozen=True)
+class PlannedFrame:
+    """One capture: a frame of the timeline.
+
+    Parameters
+    ----------
+    number : int
+        The frame of the timeline.
+    camera : str
+        Id of the camera.
+    object_to_world : (4, 4) array
+        Where the object frame stands in the world: rigid.
+    lights : tuple of str
+        Ids of the lights that are on.
+    """
+
+    number: int
+    camera: str
+    object_to_world: np.ndarray
+    lights: tuple[str, ...]
+
+    @property
+    def id(self) -> str:
+        """The frame's id in a capture set, which is also how Blender numbers its file."""
+        return f"{self.number:04d}"
+
+
+@dataclass(frozen=True)
+class CapturePlan:
+    """What the timeline captures.
+
+    Parameters
+    ----------
+    cameras : mapping of str to Camera
+        In the world. A camera object that moves during the plan is one device for each of its poses.
+    lights : mapping of str to Light
+    frames : tuple of PlannedFrame
+    """
+
+    cameras: Mapping[str, Camera]
+    lights: Mapping[str, Light]
+    frames: tuple[PlannedFrame, ...]
+
+
+def camera_of(scene: bpy.types.Scene, camera_object: bpy.types.Object) -> Camera:
+    """Return a camera as it stands in the world at the present frame.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Its resolution, percentage and pixel aspect shape the picture.
+    camera_object : bpy.types.Object
+
+    Returns
+    -------
+    Camera
+        With integer pixel centres: half a pixel less than Blender's own coordinates, whose origin is the corner of
+        the top-left pixel.
+
+    Raises
+    ------
+    ScanstageError
+        It is not a perspective camera.
+    """
+    data, render = camera_object.data, scene.render
+    if camera_object.type != "CAMERA" or data.type != "PERSP":
+        raise ScanstageError(f"camera {camera_object.name!r} is not a perspective camera: set its lens type to "
+                             "Perspective")
+    width, height = (int(n * render.resolution_percentage / 100) for n in (render.resolution_x, render.resolution_y))
+    aspect = render.pixel_aspect_y / render.pixel_aspect_x
+    fit = data.sensor_fit
+    if fit == "AUTO":
+        fit = "HORIZONTAL" if width >= height * aspect else "VERTICAL"
+    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
+    across = width if fit == "HORIZONTAL" else height * aspect  # what the sensor's size spans, in pixel widths
+    fx = data.lens / sensor * across
+    K = [[fx, 0, width / 2 - data.shift_x * across - 0.5],
+         [0, fx / aspect, height / 2 + data.shift_y * across / aspect - 0.5],
+         [0, 0, 1]]
+    world = np.array(camera_object.matrix_world)
+    R = _TO_OPENCV @ _rotation(world).T
+    return Camera(K, R, -R @ world[:3, 3], (width, height))
+
+
+def light_of(light_object: bpy.types.Object) -> Light:
+    """Return a light as it stands in the world at the present frame.
+
+    Raises
+    ------
+    ScanstageError
+        It is an area light.
+    """
+    data = light_object.data
+    if data.type not in _LIGHT_KINDS:
+        raise ScanstageError(f"light {light_object.name!r} is an area light, which no method can use: make it a point, "
+                             "spot or sun light, or hide it from renders")
+    world = np.array(light_object.matrix_world)
+    radius = 0.0 if data.type == "SUN" else data.shadow_soft_size
+    return Light(_LIGHT_KINDS[data.type], world[:3, 3], -_rotation(world)[:, 2], radius)
+
+
+def plan_of(scene: bpy.types.Scene) -> CapturePlan:
+    """Return the plan that the scene's timeline holds. The current frame is what it was, afterwards.
+
+    Raises
+    ------
+    ScanstageError
+        The scene has no stage, a frame has no camera, or a device cannot be described.
+    """
+    if scene != bpy.context.scene:
+        raise ValueError("only the context's scene is evaluated: the plan of another cannot be read")
+    turntable = turntable_of(scene)
+    cameras, lights, frames = _Devices(), _Devices(), []
+    with frame_kept(scene):
+        for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
+            scene.frame_set(number)
+            if scene.camera is None:
+                raise ScanstageError(f"frame {number} of scene {scene.name!r} has no camera: set the scene's camera")
+            camera = cameras.id_of(scene.camera, camera_of(scene, scene.camera))
+            lit = tuple(lights.id_of(o, light_of(o)) for o in _lights_on(scene))
+            frames.append(PlannedFrame(number, camera, _rigid(turntable), lit))
+    return CapturePlan(cameras.found, lights.found, tuple(frames))
+
+
+def truth_mesh(scene: bpy.types.Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return the staged object as renders see it.
+
+    Returns
+    -------
+    vertices : (n, 3) float64 array
+        In the object frame: the turntable's frame at angle 0.
+    triangles : (m, 3) int32 array
+        Counter-clockwise seen from outside.
+
+    Raises
+    ------
+    ScanstageError
+        The scene has no stage, or the staged object has no faces.
+    """
+    turntable = turntable_of(scene)
+    with frame_kept(scene):
+        scene.frame_set(scene.frame_start)
+        vertices, triangles = render_mesh(scene, staged_objects(scene))
+        motion = _rigid(turntable)
+    if not len(triangles):
+        raise ScanstageError(f"the staged object of scene {scene.name!r} has no faces that are rendered: "
+                             "show it in renders, or stage another object")
+    return (vertices - motion[:3, 3]) @ motion[:3, :3], triangles
+
+
+def staged_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Return the objects that stand on the turntable, with their children."""
+    stage = ownership.require_stage(scene)
+    roots = [*ownership.with_role(stage, "object"), *ownership.attached(turntable_of(scene))]
+    return list(dict.fromkeys(o for root in roots for o in (root, *root.children_recursive)))
+
+
+def turntable_of(scene: bpy.types.Scene) -> bpy.types.Object:
+    """Return the empty whose rotation is the turntable's.
+
+    Raises
+    ------
+    ScanstageError
+        The scene has no stage, or its turntable was deleted.
+    """
+    found = ownership.with_role(ownership.require_stage(scene), "turntable")
+    if not found:
+        raise ScanstageError(f"the turntable of scene {scene.name!r} was deleted: build the stage again")
+    return found[0]
+
+
+@contextmanager
+def frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
+    """Put the current frame and the scene's camera back when the block ends; markers change it on the way."""
+    frame, subframe, camera = scene.frame_current, scene.frame_subframe, scene.camera
+    try:
+        yield
+    finally:
+        scene.frame_set(frame, subframe=subframe)
+        scene.camera = camera
+
+
+class _Devices:
+    """Gives each device that the plan meets an id, and another one wherever it has moved."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, Camera | Light] = {}
+        self._ids: dict[tuple[str, bytes], str] = {}
+
+    def id_of(self, owner: bpy.types.Object, device: Camera | Light) -> str:
+        name = ownership.device_id(owner)
+        key = name, b"".join(np.asarray(value).tobytes() for value in vars(device).values())
+        if key not in self._ids:
+            id, count = name, 1
+            while id in self.found:
+                count += 1
+                id = f"{name}-{count}"
+            self._ids[key], self.found[id] = id, device
+        return self._ids[key]
+
+
+def _lights_on(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    lights = (o for o in scene.objects if o.type == "LIGHT" and not o.hide_render)
+    return sorted((o for o in lights if light_is_on(o.data)), key=lambda o: o.name)
+
+
+def _rotation(world: np.ndarray) -> np.ndarray:
+    """Return the rotation part of a matrix, orthonormal to double precision; Blender's are of single precision."""
+    scale = np.linalg.norm(world[:3, :3], axis=0)
+    u, _, vt = np.linalg.svd(world[:3, :3] / scale)
+    return u @ vt
+
+
+def _rigid(turntable: bpy.types.Object) -> np.ndarray:
+    world = np.array(turntable.matrix_world)
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = _rotation(world), world[:3, 3]
+    return motion

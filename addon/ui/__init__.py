@@ -1,0 +1,25 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The window's face: properties, operators and one tab of panels, in the order of the work.
+
+- `properties`: what a scene remembers; the options come out of the tables of presets, methods and silhouettes.
+- `jobs`: long work as steps, with progress, Esc and a thread for what never touches Blender.
+- `operators`: adapters: gather what is set, call a function, report.
+- `panels`: draw, and nothing else.
+"""
+
+from . import operators, panels, properties
+
+
+def register() -> None:
+    """Register every class and attach the settings to scenes."""
+    properties.register()
+    operators.register()
+    panels.register()
+
+
+def unregister() -> None:
+    """Undo `register`, in reverse."""
+    panels.unregister()
+    operators.unregister()
+    properties.unregister()

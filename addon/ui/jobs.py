@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Long work in a window: as steps that a timer advances, so that Blender stays usable and Esc stops it.
+
+A job is an operator whose `Job.steps` is a generator. Called without a window it runs to its end at once; from a
+button each tick of a timer takes one step. Work on arrays runs in a thread (`in_thread`) that never touches Blender:
+the generator only looks how far it is.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator, Iterator
+
+import bpy
+
+from ..errors import Cancelled, ScanstageError
+
+_TICK = 0.05  # seconds
+
+
+def in_thread(function: Callable, *args, **keywords) -> Generator[tuple[float, str], None, object]:
+    """Run ``function(*args, progress=..., **keywords)`` in a thread; yield its progress and return its result.
+
+    Closing the generator makes the function's next progress report raise `Cancelled`, and waits for it to end.
+    """
+    latest, outcome, stop = [(0.0, "Starting")], {}, threading.Event()
+
+    def progress(fraction: float, message: str) -> None:
+        latest[0] = (fraction, message)
+        if stop.is_set():
+            raise Cancelled
+
+    def run() -> None:
+        try:
+            outcome["result"] = function(*args, progress=progress, **keywords)
+        except BaseException as error:  # noqa: BLE001 - raised again below, in the thread that started this one
+            outcome["error"] = error
+
+    worker = threading.Thread(target=run, name=f"scanstage {function.__name__}", daemon=True)
+    worker.start()
+    try:
+        while worker.is_alive():
+            yield latest[0]
+            worker.join(_TICK)
+    finally:
+        stop.set()
+        worker.join()
+    if "error" in outcome:
+        raise outcome["error"]
+    return outcome["result"]
+
+
+class Job:
+    """Base of operators that run long. A subclass gives ``steps(context)``, a generator of (fraction, message)."""
+
+    @classmethod
+    def idle(cls, context: bpy.types.Context) -> bool:
+        """Return whether no job runs; otherwise say so as the reason why the button is greyed out."""
+        if context.window_manager.scanstage_job.running:
+            cls.poll_message_set("Another Scanstage job is running: wait for it, or press Esc")
+            return False
+        return True
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        """Yield (fraction, message) after each step of the work."""
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Run to the end at once."""
+        try:
+            for _ in self.steps(context):
+                pass
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        return {'FINISHED'}
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start, and let a timer take the steps."""
+        self._steps = self.steps(context)
+        job = context.window_manager.scanstage_job
+        job.running, job.title, job.fraction, job.message = True, self.bl_label, 0.0, "Starting"
+        self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        context.workspace.status_text_set(f"{self.bl_label}: press Esc to stop")
+        return {'RUNNING_MODAL'}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Take one step, or stop."""
+        if event.type == 'ESC' and event.value == 'PRESS':
+            self.cancel(context)
+            self.report({'INFO'}, f"{self.bl_label} stopped; what is whole on disk stays")
+            return {'CANCELLED'}
+        if event.type != 'TIMER':
+            return {'PASS_THROUGH'}
+        try:
+            fraction, message = next(self._steps)
+        except StopIteration:
+            self._finish(context)
+            return {'FINISHED'}
+        except ScanstageError as error:
+            self._finish(context)
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        except BaseException:
+            self._finish(context)
+            raise
+        job = context.window_manager.scanstage_job
+        job.fraction, job.message = fraction, message
+        context.workspace.status_text_set(f"{self.bl_label}: {100 * fraction:.0f} %, {message} - press Esc to stop")
+        _redraw(context)
+        return {'RUNNING_MODAL'}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Stop: the generator puts the scene back as it was. Blender calls this too, when the window or file goes."""
+        self._steps.close()
+        self._finish(context)
+
+    def _finish(self, context: bpy.types.Context) -> None:
+        context.window_manager.event_timer_remove(self._timer)
+        context.window_manager.scanstage_job.running = False
+        context.workspace.status_text_set(None)
+        _redraw(context)
+
+
+def _redraw(context: bpy.types.Context) -> None:
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == 'VIEW_3D':
+                area.tag_redraw()

@@ -1,0 +1,313 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons. Each gathers what the panel set, calls one function of the project, and reports."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.props import EnumProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+
+from .. import workflow
+from ..captures.importers import IMPORTERS, import_capture
+from ..captures.scan import load_scan
+from ..captures.schema import FILE_NAME
+from ..captures.store import read_capture
+from ..errors import ScanstageError
+from ..reconstruction.methods import METHODS
+from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
+from ..render.capture import capture_frames
+from ..results import folder as results
+from ..results.export import export_result
+from ..results.present import face_errors, show_comparison, show_result
+from ..stage import ownership, staging
+from ..stage.presets import PRESETS
+from .jobs import Job, in_thread
+from .masks import show_masks
+from .properties import field_name, values_of
+
+
+def folder_of(path: str) -> Path:
+    """Return a folder that a panel set; relative to the file, or to Blender's temporary folder while it is unsaved."""
+    if path.startswith("//") and not bpy.data.filepath:
+        return Path(bpy.app.tempdir) / path[2:]
+    return Path(bpy.path.abspath(path))
+
+
+class SCANSTAGE_OT_stage(bpy.types.Operator):
+    """Build the rig round the object, in place of an earlier one"""
+
+    bl_idname = "scanstage.stage"
+    bl_label = "Build Stage"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        settings = context.scene.scanstage
+        if context.mode != 'OBJECT':
+            cls.poll_message_set("Switch to Object Mode first")
+            return False
+        if settings.source == 'SCENE' and settings.subject is None:
+            cls.poll_message_set("Choose the object of this scene that is to be scanned")
+            return False
+        if settings.source == 'FILE' and not settings.file:
+            cls.poll_message_set("Choose the file of the object that is to be scanned")
+            return False
+        return Job.idle.__func__(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.scanstage
+        subject = {'BUILTIN': settings.builtin, 'SCENE': settings.subject,
+                   'FILE': Path(bpy.path.abspath(settings.file))}[settings.source]
+        preset = PRESETS[settings.preset]
+        options = values_of(getattr(settings, field_name("preset", preset.name)), preset.options)
+        try:
+            staging.build(context.scene, preset.name, subject, options)
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        return {'FINISHED'}
+
+
+class SCANSTAGE_OT_remove_stage(bpy.types.Operator):
+    """Take the rig away; your own objects and render settings are as they were before it"""
+
+    bl_idname = "scanstage.remove_stage"
+    bl_label = "Remove Stage"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_stage(cls, context) and Job.idle.__func__(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        staging.remove(context.scene)
+        return {'FINISHED'}
+
+
+class SCANSTAGE_OT_capture(Job, bpy.types.Operator):
+    """Render every frame of the plan that is not on disk yet"""
+
+    bl_idname = "scanstage.capture"
+    bl_label = "Capture"
+    bl_options = {'REGISTER'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_stage(cls, context) and cls.idle(context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        settings = context.scene.scanstage
+        folder = folder_of(settings.capture_folder)
+        try:
+            yield from capture_frames(context.scene, folder)
+        finally:
+            settings.capture_state = capture_state(folder)
+
+
+class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
+    """Turn calibrated photographs into a capture set"""
+
+    bl_idname = "scanstage.import_captures"
+    bl_label = "Import Captures"
+    bl_options = {'REGISTER'}
+
+    format: EnumProperty(name="Format", items=[(name, entry.label, entry.description) for name, entry in IMPORTERS.items()])
+    filter_glob: StringProperty(default="*.xml;*.yml;*.yaml;*.json;*.txt", options={'HIDDEN'})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return cls.idle(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file first; `execute` runs the import."""
+        self.format = context.scene.scanstage.import_format
+        return ImportHelper.invoke(self, context, event)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        settings = context.scene.scanstage
+        folder = folder_of(settings.capture_folder)
+        yield from in_thread(import_capture, self.format, Path(self.filepath), folder)
+        settings.capture_state = capture_state(folder)
+
+
+class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
+    """Extract the silhouettes and show them as the image of each camera; look through the camera and scrub"""
+
+    bl_idname = "scanstage.show_masks"
+    bl_label = "Show Silhouettes"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_captures(cls, context) and cls.idle(context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        settings = context.scene.scanstage
+        folder = folder_of(settings.capture_folder)
+        yield from in_thread(load_scan, folder, values_of(settings.silhouettes, SILHOUETTE_OPTIONS))
+        show_masks(context.scene, folder)
+
+
+class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
+    """Run the method on the captures and put the coloured voxel mesh beside the object"""
+
+    bl_idname = "scanstage.reconstruct"
+    bl_label = "Reconstruct"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_captures(cls, context) and cls.idle(context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        scene, settings = context.scene, context.scene.scanstage
+        out, method = folder_of(settings.result_folder), METHODS[settings.method]
+        options = values_of(getattr(settings, field_name("method", method.name)), method.options)
+        if "silhouettes" in method.needs:
+            options |= changed_values(settings.silhouettes)
+        bounds = np.array([settings.bounds_lower, settings.bounds_upper]) if settings.use_bounds else None
+        report = yield from in_thread(workflow.reconstruct, folder_of(settings.capture_folder), method.name, out,
+                                      voxels=settings.voxels, bounds=bounds, options=options)
+        found = yield from in_thread(_read, out)
+        show_result(scene, found, smooth=settings.smooth)
+        settings.result_lines, settings.measures = "\n".join(summary(report)), ""
+
+
+class SCANSTAGE_OT_show_result(bpy.types.Operator):
+    """Put the result on disk into the scene again, with the current display options"""
+
+    bl_idname = "scanstage.show_result"
+    bl_label = "Show Result"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_result(cls, context) and Job.idle.__func__(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.scanstage
+        try:
+            found = results.read_result(folder_of(settings.result_folder))
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        show_result(context.scene, found, smooth=settings.smooth)
+        settings.result_lines = "\n".join(summary(found.report))
+        return {'FINISHED'}
+
+
+class SCANSTAGE_OT_evaluate(Job, bpy.types.Operator):
+    """Compare the result with the true object, and lay truth, result and error side by side"""
+
+    bl_idname = "scanstage.evaluate"
+    bl_label = "Evaluate"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_result(cls, context) and cls.idle(context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        scene, settings = context.scene, context.scene.scanstage
+        folder = folder_of(settings.result_folder)
+        measures = yield from in_thread(workflow.evaluate_result, folder)
+        found, truth, errors = yield from in_thread(_compare, folder)
+        show_comparison(scene, found, truth, errors)
+        settings.measures = json.dumps(measures)
+
+
+class SCANSTAGE_OT_export(ExportHelper, bpy.types.Operator):
+    """Write the result's voxel mesh as a file for other programs"""
+
+    bl_idname = "scanstage.export_mesh"
+    bl_label = "Export Mesh"
+
+    filename_ext = ""
+    check_extension = None  # the name's own ending chooses the format
+    filter_glob: StringProperty(default="*.ply;*.obj;*.stl;*.glb;*.vox;*.blend", options={'HIDDEN'})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_result(cls, context) and Job.idle.__func__(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the name, with a sensible one proposed."""
+        self.filepath = "result.ply"
+        return ExportHelper.invoke(self, context, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.scanstage
+        try:
+            faces = export_result(folder_of(settings.result_folder), Path(self.filepath), {"smooth": settings.smooth})
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        self.report({'INFO'}, f"{faces} faces in {self.filepath}")
+        return {'FINISHED'}
+
+
+def _read(folder: Path, progress) -> results.Result:
+    progress(0.95, "Reading the result")
+    return results.read_result(folder)
+
+
+def _compare(folder: Path, progress):
+    """Return what `show_comparison` takes, computed away from Blender."""
+    found = results.read_result(folder)
+    truth = workflow.truth_of(found)
+    progress(0.97, "Measuring the error of every face")
+    return found, truth, face_errors(found, truth)
+
+
+def capture_state(folder: Path) -> str:
+    """Return in one phrase what a capture set holds."""
+    try:
+        capture = read_capture(folder, require_pictures=False)
+    except ScanstageError:
+        return "no captures"
+    return f"{len(capture.frames) - len(capture.missing)} of {len(capture.frames)} frames captured"
+
+
+def changed_values(group: bpy.types.PropertyGroup) -> dict:
+    """Return the options that the user set: what was left alone stays the capture set's own."""
+    return {option.name: getattr(group, option.name) for option in SILHOUETTE_OPTIONS if group.is_property_set(option.name)}
+
+
+def summary(report: dict) -> list[str]:
+    """Return what a panel shows of a reconstruction, one fact a line."""
+    counts, iou = report["counts"], report["silhouette_iou"]["mean"]
+    lines = [f"{counts['occupied']:,} voxels, {counts['quads']:,} faces",
+             f"{sum(report['seconds'].values()):.1f} s, {100 * counts['tests'] / counts['tests_dense']:.1f} % of all tests"]
+    return lines + ([f"Silhouettes match to {100 * iou:.1f} %"] if iou else []) + [f"! {w}" for w in report["warnings"]]
+
+
+def _has_stage(cls, context: bpy.types.Context) -> bool:
+    if ownership.find_stage(context.scene) is None:
+        cls.poll_message_set("Build a stage first")
+        return False
+    return True
+
+
+def _has_captures(cls, context: bpy.types.Context) -> bool:
+    if not (folder_of(context.scene.scanstage.capture_folder) / FILE_NAME).is_file():
+        cls.poll_message_set("Capture or import pictures first")
+        return False
+    return True
+
+
+def _has_result(cls, context: bpy.types.Context) -> bool:
+    if not (folder_of(context.scene.scanstage.result_folder) / results.REPORT).is_file():
+        cls.poll_message_set("Reconstruct first")
+        return False
+    return True
+
+
+CLASSES = (SCANSTAGE_OT_stage, SCANSTAGE_OT_remove_stage, SCANSTAGE_OT_capture, SCANSTAGE_OT_import, SCANSTAGE_OT_show_masks,
+           SCANSTAGE_OT_reconstruct, SCANSTAGE_OT_show_result, SCANSTAGE_OT_evaluate, SCANSTAGE_OT_export)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

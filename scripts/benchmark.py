@@ -1,0 +1,225 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Times the kernels beside what a user would pick instead, in one run, on this machine.
+
+    python3 scripts/benchmark.py carve        visual hull: Open3D, a compiled brute force
+    python3 scripts/benchmark.py mesh         voxels to a mesh: scikit-image's marching cubes
+    python3 scripts/benchmark.py              both
+
+Medians of several runs after a warm-up. Only the ratios mean anything on another machine. It makes an environment of its
+own (without Blender) for the peers, and says which of them were not there.
+"""
+
+import argparse
+import ctypes
+import importlib
+import importlib.util
+import os
+import resource
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+VIEWS, SIZE = 24, (640, 480)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "all"], default="all")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--alone", metavar="N", type=int, help=argparse.SUPPRESS)
+    call = parser.parse_args()
+    if importlib.util.find_spec("cv2") is None or importlib.util.find_spec("skimage") is None:
+        return run_in_environment()
+    load_addon()
+    if call.alone:
+        return print_sparse(call.alone)
+    if call.kernel in ("carve", "all"):
+        compare_carving(call.runs)
+    if call.kernel in ("mesh", "all"):
+        compare_meshing(call.runs)
+    return 0
+
+
+def run_in_environment():
+    import environment
+
+    try:
+        python = environment.prepare_benchmark()
+    except environment.SetupError as error:
+        print(f"benchmark: error: {error}", file=sys.stderr)
+        return 1
+    return subprocess.call([python, Path(__file__).resolve(), *sys.argv[1:]])
+
+
+def load_addon():
+    """Import the clone's `addon` by its file."""
+    spec = importlib.util.spec_from_file_location("addon", ROOT / "addon" / "__init__.py", submodule_search_locations=[str(ROOT / "addon")])
+    sys.modules["addon"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(sys.modules["addon"])
+
+
+def median_seconds(function, runs):
+    """Return the median wall time of several calls after one that does not count, and the last result."""
+    result, seconds = function(), []
+    for _ in range(runs):
+        del result
+        start = time.perf_counter()
+        result = function()
+        seconds.append(time.perf_counter() - start)
+    return statistics.median(seconds), result
+
+
+def scene():
+    """Return 24 cameras on a ring and their masks of a body with a hole: three overlapping balls and a torus of balls."""
+    import numpy as np
+
+    from addon.reconstruction.geometry import Camera, look_at
+
+    cameras, masks = [], []
+    balls = [((0.0, 0.0, -0.1), 0.55), ((0.45, 0.2, 0.3), 0.3), ((-0.4, -0.3, 0.35), 0.35)]
+    balls += [((0.75 * np.cos(a), 0.75 * np.sin(a), -0.45), 0.13) for a in np.linspace(0, 2 * np.pi, 60)]
+    rows, columns = np.mgrid[:SIZE[1], :SIZE[0]]
+    for angle in 2 * np.pi * np.arange(VIEWS) / VIEWS:
+        R, t = look_at(4 * np.array([np.cos(angle) * 0.94, np.sin(angle) * 0.94, 0.342]), (0, 0, 0))
+        camera = Camera([[900, 0, (SIZE[0] - 1) / 2], [0, 900, (SIZE[1] - 1) / 2], [0, 0, 1]], R, t, SIZE)
+        rays = camera.rays(np.stack((columns, rows), -1))
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        mask = np.zeros(SIZE[::-1], bool)
+        for centre, radius in balls:
+            offset = np.array(centre) - camera.centre
+            mask |= offset @ offset - (rays @ offset) ** 2 < radius ** 2
+        cameras.append(camera)
+        masks.append(mask)
+    return cameras, masks
+
+
+def carve_ours(cameras, masks, grid, rule, *, dense=False):
+    from addon.reconstruction.volumetric.bounds import spread_order
+    from addon.reconstruction.volumetric.octree import carve, extent_of
+    from addon.reconstruction.volumetric.silhouette_test import SilhouetteTest
+
+    tests = [SilhouetteTest(cameras[i], masks[i], grid, extent_of(grid), rule=rule, unknown_outside=True) for i in spread_order(cameras)]
+    volume = carve(tests, grid)[0]
+    return volume.dense() if dense else volume
+
+
+def box(voxels):
+    from addon.reconstruction.geometry import VoxelGrid
+
+    return VoxelGrid.from_bounds((-1, -1, -1), (1, 1, 1), voxels)
+
+
+def compare_carving(runs):
+    cameras, masks = scene()
+    print(f"Visual hull, {VIEWS} views of {SIZE[0]}x{SIZE[1]}, {os.cpu_count()} processors; medians of {runs}\n")
+    print(f"{'':58} seconds    ratio")
+    ours = {}
+    for rule in ("center", "conservative"):
+        for voxels in (256, 512):
+            ours[rule, voxels], volume = median_seconds(lambda v=voxels, r=rule: carve_ours(cameras, masks, box(v), r, dense=True), runs)
+            print(f"{f'Scanstage, {rule}, {voxels}^3, dense result':58} {ours[rule, voxels]:7.3f}")
+    seconds = open3d_seconds(cameras, masks, box(256), max(1, runs // 2))
+    for rule in ("center", "conservative"):
+        row(f"Open3D carve_silhouette, 256^3, to {rule}", seconds, ours[rule, 256])
+    for voxels in (256, 512):
+        brute = brute_force_seconds(cameras, masks, box(voxels), max(1, runs // 2))
+        row(f"compiled brute force with early exit, {voxels}^3, to center", brute, ours["center", voxels])
+    print("\nSparse result, each in a process of its own")
+    for voxels in (512, 1024, 2048):
+        subprocess.call([sys.executable, __file__, "--alone", str(voxels)])
+    print()
+
+
+def print_sparse(voxels):
+    """Carve once to warm up at a small size, then at full size: time and the process's peak memory."""
+    cameras, masks = scene()
+    carve_ours(cameras, masks, box(64), "center")
+    seconds, volume = median_seconds(lambda: carve_ours(cameras, masks, box(voxels), "center"), 2)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2 ** 20
+    print(f"{f'Scanstage, center, {voxels}^3, {volume.count():,} voxels':58} {seconds:7.3f}    peak {peak:.2f} GiB", flush=True)
+    return 0
+
+
+def row(name, seconds, reference):
+    if seconds is None:
+        print(f"{name:58} not run: it is not on this machine")
+    else:
+        print(f"{name:58} {seconds:7.3f} {seconds / reference:7.1f} x")
+
+
+def open3d_seconds(cameras, masks, grid, runs):
+    """Return the time for a dense grid carved by all masks with Open3D, or None without it."""
+    if importlib.util.find_spec("open3d") is None:
+        return None
+    import numpy as np
+    import open3d
+
+    parameters = []
+    for camera in cameras:
+        entry = open3d.camera.PinholeCameraParameters()
+        entry.intrinsic = open3d.camera.PinholeCameraIntrinsic(*SIZE, camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2])
+        entry.extrinsic = np.vstack((np.column_stack((camera.R, camera.t)), [0, 0, 0, 1]))
+        parameters.append(entry)
+    images = [open3d.geometry.Image(mask.astype(np.float32)) for mask in masks]
+
+    def carve():
+        side = grid.voxel_size * grid.shape[0]
+        volume = open3d.geometry.VoxelGrid.create_dense(origin=grid.origin, color=[0.5, 0.5, 0.5], voxel_size=grid.voxel_size,
+                                                        width=side, height=side, depth=side)
+        for image, entry in zip(images, parameters, strict=True):
+            volume.carve_silhouette(image, entry)
+        return volume
+
+    return median_seconds(carve, runs)[0]
+
+
+def brute_force_seconds(cameras, masks, grid, runs):
+    """Return the time of the compiled brute force, or None without a compiler; check that it finds the same volume."""
+    import numpy as np
+
+    from addon.reconstruction.volumetric.octree import extent_of
+    from addon.reconstruction.volumetric.silhouette_test import grid_projection
+
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        return None
+    matrices = np.array([grid_projection(camera, grid, extent_of(grid), (0.5, 0.5)) for camera in cameras])
+    pictures = np.array(masks, np.uint8)
+    occupancy = np.zeros(grid.shape, np.uint8)
+    pointer = np.ctypeslib.ndpointer
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "brute_force.so"
+        subprocess.check_call([compiler, "-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC", "-pthread",
+                               ROOT / "scripts" / "brute_force.cpp", "-o", library])
+        function = ctypes.CDLL(str(library)).carve
+    function.restype = ctypes.c_int64
+    function.argtypes = [pointer(float), pointer(np.uint8), *[ctypes.c_int] * 6, pointer(np.uint8)]
+    seconds, kept = median_seconds(lambda: function(matrices, pictures, len(cameras), *SIZE, *grid.shape, occupancy), runs)
+    if not np.array_equal(occupancy.astype(bool), carve_ours(cameras, masks, grid, "center", dense=True)):
+        print("  (the brute force rounds some pixel borders differently here)")
+    return seconds
+
+
+def compare_meshing(runs):
+    from skimage.measure import marching_cubes
+
+    from addon.reconstruction.volumetric.surface import extract_surface
+
+    cameras, masks = scene()
+    print(f"Voxels to a mesh with shared vertices; medians of {runs}\n")
+    for voxels in (256, 512):
+        volume = carve_ours(cameras, masks, box(voxels), "center")
+        ours, surface = median_seconds(lambda v=volume: extract_surface(v), runs)
+        print(f"{f'Scanstage, {voxels}^3, {len(surface.quads):,} quads':58} {ours:7.3f}")
+        dense = volume.dense()
+        row(f"scikit-image marching_cubes, {voxels}^3", median_seconds(lambda d=dense: marching_cubes(d, 0.5), max(1, runs // 2))[0], ours)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,57 @@
+// SPDX-FileCopyrightText: 2026 Scanstage Authors
+// SPDX-License-Identifier: GPL-3.0-or-later
+//
+// The compiled brute force that scripts/benchmark.py measures against: every voxel's centre in every view, until a view
+// sees it outside its silhouette (early exit), on all processors. It reads the projection matrices in half-voxel units,
+// as addon/reconstruction/volumetric/silhouette_test.py rounds them, so that both give the same volume bit for bit.
+//
+//   g++ -O3 -march=native -ffp-contract=off -shared -fPIC -pthread brute_force.cpp -o brute_force.so
+
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <thread>
+#include <vector>
+
+namespace {
+
+struct View {
+  const double* matrix;     // 3x4, half voxels to pixels, with 0.5 added: floor gives the pixel
+  const std::uint8_t* mask; // height x width, not 0 inside
+};
+
+bool inside(const View& view, int width, int height, double x, double y, double z) {
+  const double* m = view.matrix;
+  const double inverse = 1.0 / (m[8] * x + m[9] * y + m[10] * z + m[11]);
+  const int u = static_cast<int>(std::floor((m[0] * x + m[1] * y + m[2] * z + m[3]) * inverse));
+  const int v = static_cast<int>(std::floor((m[4] * x + m[5] * y + m[6] * z + m[7]) * inverse));
+  return u < 0 || v < 0 || u >= width || v >= height || view.mask[static_cast<std::size_t>(v) * width + u];
+}
+
+}  // namespace
+
+extern "C" std::int64_t carve(const double* matrices, const std::uint8_t* masks, int views, int width, int height, int nx,
+                              int ny, int nz, std::uint8_t* occupancy) {
+  std::atomic<int> next{0};
+  std::atomic<std::int64_t> kept{0};
+  auto work = [&] {
+    std::int64_t count = 0;
+    for (int i; (i = next.fetch_add(1)) < nx;)
+      for (int j = 0; j < ny; ++j) {
+        std::uint8_t* row = occupancy + (static_cast<std::size_t>(i) * ny + j) * nz;
+        for (int k = 0; k < nz; ++k) {
+          bool keep = true;
+          for (int n = 0; keep && n < views; ++n)
+            keep = inside({matrices + 12 * n, masks + static_cast<std::size_t>(n) * width * height}, width, height,
+                          2 * i + 1, 2 * j + 1, 2 * k + 1);
+          row[k] = keep;
+          count += keep;
+        }
+      }
+    kept += count;
+  };
+  std::vector<std::thread> threads(std::thread::hardware_concurrency());
+  for (auto& thread : threads) thread = std::thread(work);
+  for (auto& thread : threads) thread.join();
+  return kept;
+}

@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scanstage's command line from a clone.
+
+    python3 scripts/scanstage.py demo                                       makes its own environment on first use
+    blender --background --python scripts/scanstage.py -- demo              inside a real Blender
+
+Both run `addon.cli.main`, as `blender --command scanstage` does once the extension is installed.
+"""
+
+import importlib.util
+import os
+import site
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def load(name, file):
+    """Import a module or package of the clone by its file, so that no search path needs to be changed."""
+    folder = [str(file.parent)] if file.name == "__init__.py" else None
+    spec = importlib.util.spec_from_file_location(name, file, submodule_search_locations=folder)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def main():
+    has_blender = importlib.util.find_spec("bpy") is not None
+    environment = load("environment", ROOT / "scripts" / "environment.py")
+    try:
+        if not has_blender:
+            return run_in_environment(environment)
+        if importlib.util.find_spec("cv2") is None:
+            site.addsitedir(str(environment.install_opencv(ROOT / ".venv" / ("opencv-%d.%d" % sys.version_info[:2]))))
+    except environment.SetupError as error:
+        print("scanstage: error: %s" % error, file=sys.stderr)
+        return 1
+    load("addon", ROOT / "addon" / "__init__.py")
+    cli = importlib.import_module("addon.cli")
+    in_blender = "--" in sys.argv and Path(sys.argv[0]).name.lower().startswith("blender")
+    return cli.main(sys.argv[sys.argv.index("--") + 1:] if in_blender else sys.argv[1:])
+
+
+def run_in_environment(environment):
+    python = environment.prepare()
+    command = [str(python), str(Path(__file__).resolve()), *sys.argv[1:]]
+    if os.name == "posix":
+        sys.stderr.flush()
+        os.execv(command[0], command)
+    return subprocess.call(command)
+
+
+if __name__ == "__main__":
+    code = main()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # Without a window Blender ignores what a script returns, and its own shutdown may print to stdout: end here.
+    os._exit(code)

@@ -1,0 +1,122 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A capture set as views in the object frame."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from addon.captures.pictures import read_mask, write_mask, write_picture
+from addon.captures.scan import load_scan
+from addon.captures.store import read_capture, write_capture
+from addon.errors import Cancelled, ScanstageError
+
+SIZE = (8, 6)
+SQUARE = np.zeros((6, 8), bool)
+SQUARE[2:4, 3:6] = True
+GROWN = np.zeros((6, 8), bool)
+GROWN[1:5, 2:7] = True  # by one pixel on every side
+
+
+def without_patterns(folder, **changes):
+    capture = read_capture(folder)
+    frames = tuple(dataclasses.replace(frame, pattern=None) for frame in capture.frames)
+    write_capture(folder, dataclasses.replace(capture, frames=frames, **changes))
+
+
+def test_frames_without_a_pattern_become_views(capture_folder):
+    scan = load_scan(capture_folder)
+    assert [view.name for view in scan.views] == ["0001"]
+    np.testing.assert_array_equal(scan.views[0].mask, GROWN)
+    np.testing.assert_array_equal(scan.bounds, [[-1, -1, 0], [1, 1, 2]])
+    image = scan.views[0].read_image()
+    assert image.dtype == np.float32 and image.shape == (6, 8, 3)
+    np.testing.assert_allclose(image[2, 3], 0.8, atol=0.005)  # half a step of 8-bit sRGB up there
+
+
+def test_cameras_are_those_of_the_turned_object(capture_folder):
+    without_patterns(capture_folder)
+    capture = read_capture(capture_folder)
+    for view, frame in zip(load_scan(capture_folder).views, capture.frames, strict=True):
+        np.testing.assert_array_equal(view.camera.P, capture.camera_of(frame).P)
+
+
+def test_the_users_options_override_the_sets(capture_folder):
+    np.testing.assert_array_equal(load_scan(capture_folder, {"conservative": False}).views[0].mask, SQUARE)
+    with pytest.raises(ScanstageError, match="^images/0001.png: the silhouette of frame 0001 is empty"):
+        load_scan(capture_folder, {"threshold": 0.99})
+    with pytest.raises(ScanstageError, match="no option 'treshold'"):
+        load_scan(capture_folder, {"treshold": 0.5})
+
+
+def test_masks_are_written_beside_the_captures(capture_folder):
+    load_scan(capture_folder)
+    np.testing.assert_array_equal(read_mask(capture_folder / "masks/0001.png", size=SIZE), GROWN)
+
+
+@pytest.mark.parametrize(("chosen", "files"), [("auto", "mask"), ("alpha", "alpha"), ("plate", "plate")])
+def test_each_source_of_a_silhouette_is_used(capture_folder, chosen, files):
+    without_patterns(capture_folder, silhouette={})
+    grey = np.full((6, 8, 3), 0.05, np.float32)
+    write_picture(capture_folder / "images/0001.png", np.where(SQUARE[..., None], 0.5, grey), SQUARE * 1.0, encoding="srgb")
+    write_picture(capture_folder / "images/0002.png", np.where(SQUARE[..., None], 0.5, grey), SQUARE * 1.0, encoding="srgb")
+    write_picture(capture_folder / "plates/left.png", grey, encoding="srgb")
+    corner = np.zeros((6, 8), bool)
+    corner[0, 0] = True
+    write_mask(capture_folder / "given/0002.png", corner)
+    first, second = load_scan(capture_folder, {"silhouette": chosen, "conservative": False}).views
+    np.testing.assert_array_equal(first.mask, SQUARE)
+    np.testing.assert_array_equal(second.mask, corner if files == "mask" else SQUARE)
+
+
+def test_a_mask_that_came_with_the_set_is_not_overwritten(capture_folder):
+    given = np.eye(6, 8, dtype=bool)
+    write_mask(capture_folder / "masks/0001.png", given)
+    frames = tuple(dataclasses.replace(frame, mask="masks/0001.png") for frame in read_capture(capture_folder).frames)
+    write_capture(capture_folder, dataclasses.replace(read_capture(capture_folder), frames=frames))
+    load_scan(capture_folder, {"silhouette": "threshold"})
+    np.testing.assert_array_equal(read_mask(capture_folder / "masks/0001.png", size=SIZE), given)
+
+
+def test_masks_are_not_written_through_a_link_out_of_the_set(capture_folder, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    try:
+        (capture_folder / "masks").symlink_to(outside)
+    except OSError:
+        pytest.skip("this system does not let the test make symbolic links")
+    with pytest.raises(ScanstageError, match="^masks/0001.png: .* is a link out of the capture set"):
+        load_scan(capture_folder)
+    assert not list(outside.iterdir())
+
+
+def test_a_set_with_frames_to_render_is_refused(capture_folder):
+    write_capture(capture_folder, read_capture(capture_folder).with_missing(["0002"]))
+    with pytest.raises(ScanstageError, match=r"^capture.json: missing: 1 of 2 frames .*\(first: 0002\); run capture again"):
+        load_scan(capture_folder)
+
+
+def test_a_set_with_a_pattern_in_every_frame_is_refused(capture_folder):
+    capture = read_capture(capture_folder)
+    frames = tuple(dataclasses.replace(frame, pattern="stripes") for frame in capture.frames)
+    write_capture(capture_folder, dataclasses.replace(capture, frames=frames))
+    with pytest.raises(ScanstageError, match="^capture.json: frames: a pattern is projected in every frame"):
+        load_scan(capture_folder)
+
+
+def test_a_picture_of_another_size_is_named(capture_folder):
+    write_picture(capture_folder / "images/0001.png", np.zeros((3, 3, 3)))
+    with pytest.raises(ScanstageError, match="^images/0001.png: is 3x3 pixels, its camera 8x6"):
+        load_scan(capture_folder)
+
+
+def test_progress_reaches_the_end_and_stops_the_work(capture_folder):
+    seen = []
+    load_scan(capture_folder, progress=lambda fraction, message: seen.append(fraction))
+    assert seen == sorted(seen) and seen[-1] == 1
+
+    def stop(fraction, message):
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        load_scan(capture_folder, progress=stop)
