@@ -16,21 +16,22 @@
 namespace {
 
 struct View {
-  const double* matrix;     // 3x4, half voxels to pixels, with 0.5 added: floor gives the pixel
-  const std::uint8_t* mask; // height x width, not 0 inside
+  const double* matrix;      // 3x4, half voxels to pixels of a region: floor gives the pixel
+  const int* corner;         // of the region in the picture: column, row
+  const std::uint8_t* mask;  // height x width, not 0 inside
 };
 
 bool inside(const View& view, int width, int height, double x, double y, double z) {
   const double* m = view.matrix;
   const double inverse = 1.0 / (m[8] * x + m[9] * y + m[10] * z + m[11]);
-  const int u = static_cast<int>(std::floor((m[0] * x + m[1] * y + m[2] * z + m[3]) * inverse));
-  const int v = static_cast<int>(std::floor((m[4] * x + m[5] * y + m[6] * z + m[7]) * inverse));
+  const int u = static_cast<int>(std::floor((m[0] * x + m[1] * y + m[2] * z + m[3]) * inverse)) + view.corner[0];
+  const int v = static_cast<int>(std::floor((m[4] * x + m[5] * y + m[6] * z + m[7]) * inverse)) + view.corner[1];
   return u < 0 || v < 0 || u >= width || v >= height || view.mask[static_cast<std::size_t>(v) * width + u];
 }
 
 }  // namespace
 
-extern "C" std::int64_t carve(const double* matrices, const std::uint8_t* masks, int views, int width, int height, int nx,
+extern "C" std::int64_t carve(const double* matrices, const int* corners, const std::uint8_t* masks, int views, int width, int height, int nx,
                               int ny, int nz, std::uint8_t* occupancy) {
   std::atomic<int> next{0};
   std::atomic<std::int64_t> kept{0};
@@ -42,7 +43,7 @@ extern "C" std::int64_t carve(const double* matrices, const std::uint8_t* masks,
         for (int k = 0; k < nz; ++k) {
           bool keep = true;
           for (int n = 0; keep && n < views; ++n)
-            keep = inside({matrices + 12 * n, masks + static_cast<std::size_t>(n) * width * height}, width, height,
+            keep = inside({matrices + 12 * n, corners + 2 * n, masks + static_cast<std::size_t>(n) * width * height}, width, height,
                           2 * i + 1, 2 * j + 1, 2 * k + 1);
           row[k] = keep;
           count += keep;

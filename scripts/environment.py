@@ -8,6 +8,7 @@ Standard library only, and any Python 3.8 or later can read it: it must be able 
 import ctypes
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -36,6 +37,18 @@ def version_of(python):
     except OSError:
         return None
     return tuple(int(n) for n in answer.stdout.split()) if answer.returncode == 0 and answer.stdout else None
+
+
+def interpreters():
+    """Return {version: interpreter} for each supported Python that is found: this one, those on the path, pyenv's."""
+    found = {}
+    pyenv = sorted((Path.home() / ".pyenv" / "versions").glob("3.*/bin/python"))
+    named = [shutil.which("python%d.%d" % version) for version in BLENDERS]
+    for candidate in [sys.executable, *named, *pyenv]:
+        version = version_of(candidate) if candidate else None
+        if version in BLENDERS:
+            found.setdefault(version, candidate)
+    return found
 
 
 def prepare(python=sys.executable, development=False, say=lambda line: print(line, file=sys.stderr)):
@@ -70,11 +83,12 @@ def prepare(python=sys.executable, development=False, say=lambda line: print(lin
     return _environment(python, "blender-" + BLENDERS[version], files, say)
 
 
-def prepare_benchmark(python=sys.executable, say=lambda line: print(line, file=sys.stderr)):
-    """Make the environment of the benchmarks, which needs no Blender. See `prepare`."""
-    if version_of(python) not in BLENDERS:
-        raise SetupError("the benchmarks need Python 3.13 or 3.11: run this script with one of them, for example python3.13")
-    return _environment(python, "benchmark", [REQUIREMENTS / "benchmark.txt"], say)
+def prepare_benchmark(say=lambda line: print(line, file=sys.stderr)):
+    """Make the environment of the benchmarks, which needs no Blender, for the newest Python there is. See `prepare`."""
+    found = interpreters()
+    if not found:
+        raise SetupError("the benchmarks need Python 3.13 or 3.11, and neither is on this machine")
+    return _environment(found[max(found)], "benchmark", [REQUIREMENTS / "benchmark.txt"], say)
 
 
 def _environment(python, name, files, say):

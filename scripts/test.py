@@ -8,7 +8,6 @@
 Standard library only: it makes the environments that it needs.
 """
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,20 +17,8 @@ import environment
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def interpreters():
-    """Return one interpreter for each supported Python that is found: this one, those on the path, pyenv's."""
-    found = {}
-    pyenv = sorted((Path.home() / ".pyenv" / "versions").glob("3.*/bin/python"))
-    named = [shutil.which("python%d.%d" % version) for version in environment.BLENDERS]
-    for candidate in [sys.executable, *named, *pyenv]:
-        version = environment.version_of(candidate) if candidate else None
-        if version in environment.BLENDERS:
-            found.setdefault(version, candidate)
-    return found
-
-
 def main():
-    failed, pythons = False, interpreters()
+    failed, pythons = False, environment.interpreters()
     if not pythons:
         pythons[sys.version_info[:2]] = sys.executable  # to be told which are needed
     for version, python in pythons.items():

@@ -11,21 +11,18 @@ Cells of one size are handled together, as arrays; the children of a parent are 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...errors import Cancelled
 from ...progress import Progress, silent
 from ..geometry import VoxelGrid
 from .silhouette_test import CHILD, MIXED, OUTSIDE, SilhouetteTest
 from .volume import BRICK, EMPTY, FULL, SparseVolume, brick_counts
 
 _ROOTS = 16  # cells along the longest side that are tested before any is split
-_CELLS_A_PART = 512  # cells of twice the root's size that one thread carves at a time: bounds memory, keeps arrays in cache
+_VOXELS_ACROSS = 512  # of the largest volume that is carved at once; a finer one in parts with as much surface: bounds memory
 _ALL = np.uint8(255)
 _CORNER = CHILD.T.astype(np.int32)
 _BIT = np.arange(8, dtype=np.uint8)[:, None]
@@ -64,19 +61,20 @@ def extent_of(grid: VoxelGrid) -> int:
     return max(-(-n // step) * step for n in grid.shape) * 2
 
 
-def carve(tests: Sequence[SilhouetteTest], grid: VoxelGrid, *, tolerance: int = 0, threads: int | None = None,
+def carve(tests: Sequence[SilhouetteTest], grid: VoxelGrid, *, tolerance: int = 0,
           progress: Progress = silent) -> tuple[SparseVolume, Counts]:
     """Keep the voxels that no more than ``tolerance`` views see outside their silhouettes.
+
+    One thread does the work: numpy holds the interpreter between operations, and two threads waited for each other longer
+    than they saved.
 
     Parameters
     ----------
     tests : sequence of SilhouetteTest
-        One a view, made for this grid with `extent_of` it.
+        One a view, made for this grid with `extent_of` it. Their order decides the time, not the result.
     grid : VoxelGrid
     tolerance : int
         How many views may disagree.
-    threads : int, optional
-        The number of processors if left out. The result does not depend on it.
     progress : callable
 
     Returns
@@ -85,23 +83,18 @@ def carve(tests: Sequence[SilhouetteTest], grid: VoxelGrid, *, tolerance: int = 
     counts : Counts
     """
     size = root_size(grid)
+    for test in tests:
+        test.prepare(size)
     axes = (np.arange(0, n, 2 * size, dtype=np.int32) for n in grid.shape)
     cells = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
-    parts = np.array_split(cells, -(-cells.shape[1] // _CELLS_A_PART), axis=1)
-    store = _BrickStore(grid)
-    counts = Counts(alone=np.zeros(len(tests), int))
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        list(pool.map(lambda test: test.prepare(size), tests))
-        work = [pool.submit(_carve_part, tests, grid, part, size, tolerance) for part in parts]
-        try:
-            for done, part in enumerate(work):
-                leaves, found = part.result()
-                store.add(leaves)
-                counts.add(found)
-                progress((done + 1) / len(parts), "Carving")
-        except (Cancelled, KeyboardInterrupt):
-            pool.shutdown(cancel_futures=True)
-            raise
+    share = min(1.0, (_VOXELS_ACROSS / max(grid.shape)) ** 2)
+    parts = np.array_split(cells, min(cells.shape[1], round(1 / share)), axis=1)
+    store, counts = _BrickStore(grid), Counts(alone=np.zeros(len(tests), int))
+    for done, part in enumerate(parts):
+        progress(done / len(parts), "Carving")
+        kept, found = _carve_part(tests, grid, part, size, tolerance)
+        store.add(kept)
+        counts.add(found)
     return store.volume(), counts
 
 
@@ -158,7 +151,7 @@ def _test_view(test: SilhouetteTest, centres: np.ndarray, size: int, rows: np.nd
     for plane in range(len(missed) - 1, 0, -1):
         missed[plane][rows] |= missed[plane - 1][rows] & outside
     missed[0][rows] |= outside
-    return rows, _pack(codes == MIXED)
+    return rows, _pack(codes == MIXED) if size > 1 else np.zeros(len(rows), np.uint8)
 
 
 def _split(cells: np.ndarray, size: int, split: np.ndarray, doubts, missed: np.ndarray):
@@ -168,8 +161,8 @@ def _split(cells: np.ndarray, size: int, split: np.ndarray, doubts, missed: np.n
     row_of[8 * parent + child] = np.arange(len(parent))
     pairs = []
     for rows, doubt in doubts:
-        at, which = _bits(doubt & split[rows])
-        pairs.append(row_of.take(8 * rows[at] + which))
+        at = np.flatnonzero(np.unpackbits(doubt & split.take(rows), bitorder="little"))
+        pairs.append(row_of.take((8 * rows).take(at >> 3) + (at & 7)))
     inherited = ((missed[:, parent] >> child.astype(np.uint8)) & 1) * _ALL
     return cells.take(parent, axis=1) + _CORNER.take(child, axis=1) * np.int32(size), pairs, inherited
 

@@ -35,6 +35,7 @@ RULES = {
 CHILD = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 """(8, 3): the corner of a cell at which its child ``c`` lies."""
 
+_CHUNK = 4096  # parents at a time: the arrays of their children stay in the processor's cache
 _SLACK = 0.02  # px; far more than float64 loses in the bounds below
 _REACH = 3  # px; a bound larger than this is looked up in an image of half the size
 _LARGEST_REGION = 8  # pictures; where the volume projects to more (a near camera), its cells are clipped to the picture
@@ -93,7 +94,7 @@ class SilhouetteTest:
         self.clipped = True
         if self._nearest > self._ahead:
             box = corners[:, :2] / corners[:, 2:]
-            self._spread = _largest_spread(matrix, box)
+            self._spread = np.array([_spread(matrix, axis, np.array([box[:, axis].min(), box[:, axis].max()])).max() for axis in (0, 1)])
             margin = self._bound(1) + 1
             first, last = np.floor(box.min(0) - margin), np.ceil(box.max(0) + margin + 1)
             if np.prod(last - first) <= _LARGEST_REGION * inside.size:
@@ -101,6 +102,11 @@ class SilhouetteTest:
         self.corner = lower  # pixel that the region begins at
         self.region = _paste(inside, lower, upper, unknown_outside)
         self.matrix = grid_projection(camera, grid, extent, tuple(0.5 - lower))
+        if not self.clipped:
+            # The spread is convex in the pixel coordinate, so its chord over the region bounds it from above, and costs
+            # two operations where the sum of absolute values costs eleven.
+            ends = np.array([_spread(self.matrix, axis, np.array([0.0, side])) for axis, side in enumerate(self.region.shape[::-1])])
+            self._chord = np.column_stack((ends[:, 0], (ends[:, 1] - ends[:, 0]) / self.region.shape[::-1]))
         self._codes: dict[int, tuple[np.ndarray, int]] = {}  # by cell size: the image, and how often it was halved
         self._integral = cv2.integral(self.region) if self.conservative or self.clipped else None
 
@@ -123,25 +129,47 @@ class SilhouetteTest:
         (8, n) uint8 array
             ``OUTSIDE``, ``MIXED`` or ``INSIDE``, in the order of `CHILD`; never ``MIXED`` for single voxels.
         """
-        offsets = (2 * CHILD - 1) @ self.matrix[:, :3].T * size
-        u, v, w = ((row[:3] @ parents + row[3]) + offset[:, None] for row, offset in zip(self.matrix, offsets.T, strict=True))
-        if self.clipped:
-            return self._classify_clipped(u, v, w, size)
+        offsets = ((2 * CHILD - 1) @ self.matrix[:, :3].T * size).T[:, :, None]
+        bases = [row[:3] @ parents + row[3] for row in self.matrix]
+        codes = np.empty((8, parents.shape[1]), np.uint8)
+        for start in range(0, parents.shape[1], _CHUNK):
+            part = slice(start, start + _CHUNK)
+            u, v, w = (base[part] + offset for base, offset in zip(bases, offsets, strict=True))
+            codes[:, part] = self._classify_clipped(u, v, w, size) if self.clipped else self._classify(u, v, w, size)
+        return codes
+
+    def _classify(self, u: np.ndarray, v: np.ndarray, w: np.ndarray, size: int) -> np.ndarray:
+        """Classify cells by the code of the pixel under their centre. Overwrites u and v."""
         inverse = 1.0 / w
         u *= inverse
         v *= inverse
         image, shift = self._codes[size]
-        codes = _look_up(image, shift, u, v)
-        if size == 1 and self.conservative:
-            undecided = np.flatnonzero(codes == MIXED)
-            u, v, w = (array.ravel()[undecided] for array in (u, v, w))
-            codes.ravel()[undecided] = np.where(self._footprint_sum(u, v, w, 1)[0] > 0, INSIDE, OUTSIDE)
+        if size > 1 or not self.conservative:
+            return _look_up(image, shift, u, v)
+        codes = _look_up(image, shift, u.copy(), v.copy())
+        undecided = np.flatnonzero(codes == MIXED)
+        u, v, w = (array.ravel()[undecided] for array in (u, v, w))
+        codes.ravel()[undecided] = np.where(self._footprint_is_empty(u, v, w), OUTSIDE, INSIDE)
         return codes
+
+    def _footprint_is_empty(self, u: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Return whether all pixels that the footprints of voxels touch are background."""
+        inverse = 1.0 / (w - np.abs(self.matrix[2, :3]).sum())
+        stride = self.region.shape[1] + 1
+        left, right, top, bottom = (np.floor(value + sign * (start + slope * value) * inverse)
+                                    for value, (start, slope) in zip((u, v), self._chord, strict=True) for sign in (-1.0, 1.0))
+        right += 1
+        bottom += 1
+        top *= stride
+        bottom *= stride
+        table = self._integral.ravel()
+        corners = [table.take((row + column).astype(np.intp)) for row in (top, bottom) for column in (left, right)]
+        return corners[3] - corners[2] == corners[1] - corners[0]
 
     def prepare(self, largest: int) -> None:
         """Make the images of codes for cells of ``largest`` voxels and all smaller ones.
 
-        Must be called before `classify_children`, which then only reads and may run in many threads.
+        Must be called before `classify_children`, which then only reads.
         """
         if self.clipped:
             return
@@ -160,41 +188,31 @@ class SilhouetteTest:
             self._codes[size] = cv2.dilate(levels[shift] >> 1, kernel) + cv2.erode(levels[shift] & 1, kernel), shift
             size *= 2
 
-    def _footprint_sum(self, u, v, w, size: int):
-        """Return how many pixels of a footprint are inside, and how many it touches."""
-        height, width = self.region.shape
-        reach = size if self.conservative else size - 1
-        depth = w - reach * np.abs(self.matrix[2, :3]).sum()
-        bounds = []
-        for value, row, limit in ((u, self.matrix[0], width), (v, self.matrix[1], height)):
-            spread = sum(np.abs(a - value * c) for a, c in zip(row[:3], self.matrix[2, :3], strict=True)) * reach / depth
-            bounds.append(np.clip(np.floor(value - spread), 0, limit - 1).astype(np.intp))
-            bounds.append(np.clip(np.floor(value + spread), 0, limit - 1).astype(np.intp) + 1)
-        x0, x1, y0, y1 = bounds
-        stride, table = width + 1, self._integral.ravel()
-        below, above = table.take(y1 * stride + x1) - table.take(y1 * stride + x0), table.take(y0 * stride + x1) - table.take(y0 * stride + x0)
-        return below - above, (x1 - x0) * (y1 - y0)
-
-    def _classify_clipped(self, u, v, w, size: int) -> np.ndarray:
+    def _classify_clipped(self, u: np.ndarray, v: np.ndarray, w: np.ndarray, size: int) -> np.ndarray:
         """Classify cells that may lie beyond the picture or behind the camera: cell by cell, by their own bounds."""
         reach = size if self.conservative else size - 1
-        nearest = w - reach * np.abs(self.matrix[2, :3]).sum()
+        back = reach * np.abs(self.matrix[2, :3]).sum()
         codes = np.full(w.shape, INSIDE if size == 1 else MIXED, np.uint8)
         if size > 1:
-            farthest = w + reach * np.abs(self.matrix[2, :3]).sum()
-            codes[farthest <= 0] = INSIDE
-        ahead = nearest > self._ahead
+            codes[w + back <= 0] = INSIDE
+        ahead = w - back > self._ahead
         w = w[ahead]
-        total, area = self._footprint_sum(u[ahead] / w, v[ahead] / w, w, size)
-        codes[ahead] = np.where(total == 0, OUTSIDE, np.where((total == area) | (size == 1), INSIDE, MIXED))
+        limits = []
+        for axis, value in enumerate((u[ahead] / w, v[ahead] / w)):
+            spread = _spread(self.matrix, axis, value) * reach / (w - back)
+            limits += [np.clip(np.floor(value + bound), 0, self.region.shape[1 - axis] - 1).astype(np.intp) for bound in (-spread, spread)]
+        left, right, top, bottom = limits[0], limits[1] + 1, limits[2], limits[3] + 1
+        table = self._integral
+        total = (table[bottom, right] - table[bottom, left]) - (table[top, right] - table[top, left])
+        full = total == (right - left) * (bottom - top)
+        codes[ahead] = np.where(total == 0, OUTSIDE, np.where(full | (size == 1), INSIDE, MIXED))
         return codes
 
 
-def _largest_spread(matrix: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """Return (2,): the largest pixel shift per half voxel and unit of depth, anywhere in the volume."""
-    spreads = [[np.abs(matrix[axis, :3] - value * matrix[2, :3]).sum() for value in (box[:, axis].min(), box[:, axis].max())]
-               for axis in (0, 1)]  # convex in the pixel coordinate, so the extremes are at the ends of its range
-    return np.max(spreads, axis=1)
+def _spread(matrix: np.ndarray, axis: int, value: np.ndarray) -> np.ndarray:
+    """Return the pixels, per half voxel and unit of depth, that a move along all axes can shift a pixel coordinate."""
+    x, y, z = (np.abs(a - value * c) for a, c in zip(matrix[axis, :3], matrix[2, :3], strict=True))
+    return x + y + z
 
 
 def _paste(inside: np.ndarray, lower: np.ndarray, upper: np.ndarray, unknown_outside: bool) -> np.ndarray:
@@ -217,9 +235,12 @@ def _halved(level: np.ndarray) -> np.ndarray:
 
 
 def _look_up(image: np.ndarray, shift: int, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Return the pixels at floor(u), floor(v), in an image halved ``shift`` times."""
-    scale = 0.5 ** shift
-    index = np.floor(v * scale)
-    index *= image.shape[1]
-    index += np.floor(u * scale)
-    return image.ravel().take(index.astype(np.intp))
+    """Return the pixels at floor(u), floor(v), in an image halved ``shift`` times. Overwrites u and v."""
+    if shift:
+        u *= 0.5 ** shift
+        v *= 0.5 ** shift
+    np.floor(u, out=u)
+    np.floor(v, out=v)
+    v *= image.shape[1]
+    v += u
+    return image.ravel().take(v.astype(np.intp))

@@ -66,7 +66,7 @@ def working_bounds(scan: Scan, *, rule: str, tolerance: int, outside: str) -> np
 
 
 def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tolerance: int = 0, outside: str = "unknown",
-                threads: int | None = None, progress: Progress = silent) -> tuple[SparseVolume, dict]:
+                progress: Progress = silent) -> tuple[SparseVolume, dict]:
     """Carve the visual hull of a scan.
 
     Parameters
@@ -79,8 +79,6 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
         How many views may disagree with a voxel before it is removed.
     outside : {'unknown', 'empty'}
         What lies beyond a picture's border.
-    threads : int, optional
-        All processors if left out; the result is the same with any number.
 
     Returns
     -------
@@ -100,7 +98,7 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
         tests.append(SilhouetteTest(silhouettes[index].camera, silhouettes[index].inside, grid, extent_of(grid), rule=rule,
                                     unknown_outside=outside == "unknown"))
         progress(0.2 * step / len(order), "Reading silhouettes")
-    volume, counts = carve(tests, grid, tolerance=tolerance, threads=threads, progress=part_of(progress, 0.2, 1.0))
+    volume, counts = carve(tests, grid, tolerance=tolerance, progress=part_of(progress, 0.2, 1.0))
     names = [scan.views[index].name for index in order]
     _refuse_empty(volume, counts, names)
     dense = grid.count * len(tests)
