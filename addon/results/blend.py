@@ -14,8 +14,9 @@ from .files import sibling
 
 
 def new_file() -> None:
-    """Begin with an empty scene in metres."""
+    """Begin with an empty scene in metres, whose view shows captured colours as they are."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.context.scene.view_settings.view_transform = 'Standard'
 
 
 def open_blend(path: Path) -> None:

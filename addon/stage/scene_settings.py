@@ -44,18 +44,19 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
     "render.use_overwrite": True,
     "render.use_placeholder": False,
     "render.dither_intensity": 0.0,
-    "display_settings.display_device": "sRGB",
-    "view_settings.view_transform": "Raw",
-    "view_settings.look": "None",
-    "view_settings.exposure": 0.0,
-    "view_settings.gamma": 1.0,
-    "view_settings.use_curve_mapping": False,
-    "view_settings.use_white_balance": False,
     "render.image_settings.file_format": "PNG",
     "render.image_settings.color_mode": "RGBA",
     "render.image_settings.color_depth": "16",
     "render.image_settings.compression": 15,
-    "render.image_settings.color_management": "FOLLOW_SCENE",
+    # The files alone are linear: what the user sees in the viewport keeps the scene's own view transform.
+    "render.image_settings.color_management": "OVERRIDE",
+    "render.image_settings.display_settings.display_device": "sRGB",
+    "render.image_settings.view_settings.view_transform": "Raw",
+    "render.image_settings.view_settings.look": "None",
+    "render.image_settings.view_settings.exposure": 0.0,
+    "render.image_settings.view_settings.gamma": 1.0,
+    "render.image_settings.view_settings.use_curve_mapping": False,
+    "render.image_settings.view_settings.use_white_balance": False,
 }
 
 # What a preset decides for its scene, besides the table above.

@@ -66,6 +66,9 @@ class Job:
         """Yield (fraction, message) after each step of the work."""
         raise NotImplementedError
 
+    def show(self, context: bpy.types.Context) -> None:
+        """Bring what the job made to the user's eyes; called in a window only."""
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Run to the end at once."""
         try:
@@ -98,6 +101,7 @@ class Job:
             fraction, message = next(self._steps)
         except StopIteration:
             self._finish(context)
+            self.show(context)
             return {'FINISHED'}
         except ScanstageError as error:
             self._finish(context)

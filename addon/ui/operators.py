@@ -30,13 +30,23 @@ from ..stage.presets import PRESETS
 from .jobs import Job, in_thread
 from .masks import show_masks
 from .properties import field_name, values_of
+from .viewport import frame_stage, show_colors
 
 
-def folder_of(path: str) -> Path:
-    """Return a folder that a panel set; relative to the file, or to Blender's temporary folder while it is unsaved."""
-    if path.startswith("//") and not bpy.data.filepath:
-        return Path(bpy.app.tempdir) / path[2:]
-    return Path(bpy.path.abspath(path))
+def capture_folder(scene: bpy.types.Scene) -> Path:
+    """Return where the panel says the captures are."""
+    return _folder(scene.scanstage.capture_folder, "capture")
+
+
+def result_folder(scene: bpy.types.Scene) -> Path:
+    """Return where the panel says the result is."""
+    return _folder(scene.scanstage.result_folder, "result")
+
+
+def _folder(path: str, name: str) -> Path:
+    if path and (bpy.data.filepath or not path.startswith("//")):
+        return Path(bpy.path.abspath(path))
+    return Path(bpy.data.filepath).parent / "scanstage" / name if bpy.data.filepath else Path(bpy.app.tempdir) / "scanstage" / name
 
 
 class SCANSTAGE_OT_stage(bpy.types.Operator):
@@ -73,6 +83,13 @@ class SCANSTAGE_OT_stage(bpy.types.Operator):
             return {'CANCELLED'}
         return {'FINISHED'}
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Build, and bring the stage into view: it is small beside Blender's default cube."""
+        done = self.execute(context)
+        if 'FINISHED' in done:
+            frame_stage(context)
+        return done
+
 
 class SCANSTAGE_OT_remove_stage(bpy.types.Operator):
     """Take the rig away; your own objects and render settings are as they were before it"""
@@ -103,7 +120,7 @@ class SCANSTAGE_OT_capture(Job, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         settings = context.scene.scanstage
-        folder = folder_of(settings.capture_folder)
+        folder = capture_folder(context.scene)
         try:
             yield from capture_frames(context.scene, folder)
         finally:
@@ -131,7 +148,7 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         settings = context.scene.scanstage
-        folder = folder_of(settings.capture_folder)
+        folder = capture_folder(context.scene)
         yield from in_thread(import_capture, self.format, Path(self.filepath), folder)
         settings.capture_state = capture_state(folder)
 
@@ -149,7 +166,7 @@ class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         settings = context.scene.scanstage
-        folder = folder_of(settings.capture_folder)
+        folder = capture_folder(context.scene)
         yield from in_thread(load_scan, folder, values_of(settings.silhouettes, SILHOUETTE_OPTIONS))
         show_masks(context.scene, folder)
 
@@ -167,16 +184,19 @@ class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         scene, settings = context.scene, context.scene.scanstage
-        out, method = folder_of(settings.result_folder), METHODS[settings.method]
+        out, method = result_folder(context.scene), METHODS[settings.method]
         options = values_of(getattr(settings, field_name("method", method.name)), method.options)
         if "silhouettes" in method.needs:
             options |= changed_values(settings.silhouettes)
         bounds = np.array([settings.bounds_lower, settings.bounds_upper]) if settings.use_bounds else None
-        report = yield from in_thread(workflow.reconstruct, folder_of(settings.capture_folder), method.name, out,
+        report = yield from in_thread(workflow.reconstruct, capture_folder(context.scene), method.name, out,
                                       voxels=settings.voxels, bounds=bounds, options=options)
         found = yield from in_thread(_read, out)
         show_result(scene, found, smooth=settings.smooth)
         settings.result_lines, settings.measures = "\n".join(summary(report)), ""
+
+    def show(self, context: bpy.types.Context) -> None:
+        show_colors(context)
 
 
 class SCANSTAGE_OT_show_result(bpy.types.Operator):
@@ -193,7 +213,7 @@ class SCANSTAGE_OT_show_result(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.scanstage
         try:
-            found = results.read_result(folder_of(settings.result_folder))
+            found = results.read_result(result_folder(context.scene))
         except ScanstageError as error:
             self.report({'ERROR'}, str(error))
             return {'CANCELLED'}
@@ -215,11 +235,14 @@ class SCANSTAGE_OT_evaluate(Job, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         scene, settings = context.scene, context.scene.scanstage
-        folder = folder_of(settings.result_folder)
+        folder = result_folder(context.scene)
         measures = yield from in_thread(workflow.evaluate_result, folder)
         found, truth, errors = yield from in_thread(_compare, folder)
         show_comparison(scene, found, truth, errors)
         settings.measures = json.dumps(measures)
+
+    def show(self, context: bpy.types.Context) -> None:
+        show_colors(context)
 
 
 class SCANSTAGE_OT_export(ExportHelper, bpy.types.Operator):
@@ -244,7 +267,7 @@ class SCANSTAGE_OT_export(ExportHelper, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.scanstage
         try:
-            faces = export_result(folder_of(settings.result_folder), Path(self.filepath), {"smooth": settings.smooth})
+            faces = export_result(result_folder(context.scene), Path(self.filepath), {"smooth": settings.smooth})
         except ScanstageError as error:
             self.report({'ERROR'}, str(error))
             return {'CANCELLED'}
@@ -295,14 +318,14 @@ def _has_stage(cls, context: bpy.types.Context) -> bool:
 
 
 def _has_captures(cls, context: bpy.types.Context) -> bool:
-    if not (folder_of(context.scene.scanstage.capture_folder) / FILE_NAME).is_file():
+    if not (capture_folder(context.scene) / FILE_NAME).is_file():
         cls.poll_message_set("Capture or import pictures first")
         return False
     return True
 
 
 def _has_result(cls, context: bpy.types.Context) -> bool:
-    if not (folder_of(context.scene.scanstage.result_folder) / results.REPORT).is_file():
+    if not (result_folder(context.scene) / results.REPORT).is_file():
         cls.poll_message_set("Reconstruct first")
         return False
     return True

@@ -17,6 +17,7 @@ from ..stage.presets import PRESETS
 from . import operators
 from .properties import field_name
 
+_DEFAULT_FOLDER = "Beside this file"
 _LINE = 42  # characters that fit a sidebar of the usual width
 
 
@@ -57,7 +58,7 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = _split(self.layout), context.scene.scanstage
-        layout.prop(settings, "capture_folder")
+        layout.prop(settings, "capture_folder", placeholder=_DEFAULT_FOLDER)
         layout.operator(operators.SCANSTAGE_OT_capture.bl_idname, icon='RENDER_ANIMATION')
         _draw_state(layout, settings.capture_state or "no captures")
         header, body = layout.panel("scanstage_import", default_closed=True)
@@ -87,7 +88,7 @@ class SCANSTAGE_PT_reconstruct(_Panel, bpy.types.Panel):
         if settings.use_bounds:
             layout.prop(settings, "bounds_lower")
             layout.prop(settings, "bounds_upper")
-        layout.prop(settings, "result_folder")
+        layout.prop(settings, "result_folder", placeholder=_DEFAULT_FOLDER)
         layout.operator(operators.SCANSTAGE_OT_reconstruct.bl_idname, icon='MESH_ICOSPHERE')
 
 

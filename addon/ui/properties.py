@@ -84,8 +84,9 @@ def _settings_fields() -> dict:
         "subject": PointerProperty(name="Object", description="The object of this scene to scan", type=bpy.types.Object,
                                    poll=lambda settings, candidate: candidate.type == 'MESH'),
         "file": StringProperty(name="File", description="A mesh: .ply .obj .stl .glb .fbx .blend", subtype='FILE_PATH'),
-        "capture_folder": StringProperty(name="Captures", description="Folder of the capture set; // is the folder of this file",
-                                         default="//scanstage/capture", subtype='DIR_PATH'),
+        "capture_folder": StringProperty(name="Captures", subtype='DIR_PATH',
+                                         description="Folder of the capture set. Empty: scanstage/capture beside this file, or in "
+                                         "Blender's temporary folder, which goes with Blender, while the file is not saved"),
         "capture_state": StringProperty(description="What the last capture or import left"),
         "import_format": EnumProperty(name="Format", description="How the captures were calibrated", items=_items(IMPORTERS)),
         "method": EnumProperty(name="Method", description="How to reconstruct", items=_items(METHODS)),
@@ -96,8 +97,9 @@ def _settings_fields() -> dict:
                                             "centre", unit='LENGTH', default=(-0.15, -0.15, 0.0)),
         "bounds_upper": FloatVectorProperty(name="Upper", description="Upper corner of the working volume", unit='LENGTH',
                                             default=(0.15, 0.15, 0.3)),
-        "result_folder": StringProperty(name="Result", description="Folder of the result; // is the folder of this file",
-                                        default="//scanstage/result", subtype='DIR_PATH'),
+        "result_folder": StringProperty(name="Result", subtype='DIR_PATH',
+                                        description="Folder of the result. Empty: scanstage/result beside this file, or in "
+                                        "Blender's temporary folder, which goes with Blender, while the file is not saved"),
         "smooth": BoolProperty(name="Smooth", description="Take off the voxels' steps with a live modifier"),
         "result_lines": StringProperty(description="What the last reconstruction found, one fact a line"),
         "measures": StringProperty(description="The last comparison with the truth, as JSON"),

@@ -201,15 +201,30 @@ def test_settings_come_back_after_an_error(empty_scene):
     # As a user may leave it: another engine, format and view, and a frame in the middle.
     scene_settings.apply(empty_scene, {"render.engine": "BLENDER_WORKBENCH",
                                        "render.image_settings.file_format": "JPEG",
+                                       "render.image_settings.color_management": "FOLLOW_SCENE",
                                        "view_settings.view_transform": "AgX", "cycles.max_bounces": 7,
                                        "render.use_border": True})
     empty_scene.frame_set(2)
     before = scene_state(empty_scene)
     with pytest.raises(ZeroDivisionError), settings.capture_settings(empty_scene):
-        assert empty_scene.render.engine == "CYCLES" and empty_scene.view_settings.view_transform == "Raw"
+        assert empty_scene.render.engine == "CYCLES"
+        assert empty_scene.render.image_settings.view_settings.view_transform == "Raw"
         empty_scene.frame_set(3)
         raise ZeroDivisionError
     assert scene_state(empty_scene) == before
+
+
+@pytest.mark.parametrize("view_transform", ["AgX", "Standard"])
+def test_pictures_do_not_depend_on_the_view_of_the_scene(empty_scene, tmp_path, view_transform):
+    staging.build(empty_scene, "turntable", "knot", SMALL)
+    empty_scene.view_settings.view_transform = "Raw"
+    capture(empty_scene, tmp_path / "raw")
+    empty_scene.view_settings.view_transform = view_transform
+    empty_scene.view_settings.exposure = 1.5
+    capture(empty_scene, tmp_path / "other")
+    for picture in sorted((tmp_path / "raw" / "images").iterdir()):
+        assert np.array_equal(*(cv2.imread(str(tmp_path / name / "images" / picture.name), cv2.IMREAD_UNCHANGED)
+                                for name in ("raw", "other")))
 
 
 def test_what_cannot_be_rendered_is_an_error_and_the_scene_is_as_it_was(staged, tmp_path):
