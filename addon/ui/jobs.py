@@ -51,16 +51,16 @@ def in_thread(function: Callable, *args, **keywords) -> Generator[tuple[float, s
     return outcome["result"]
 
 
+def idle(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Return whether no job runs; otherwise say so as the reason why the operator's button is greyed out."""
+    if context.window_manager.scanstage_job.running:
+        operator.poll_message_set("Another Scanstage job is running: wait for it, or press Esc")
+        return False
+    return True
+
+
 class Job:
     """Base of operators that run long. A subclass gives ``steps(context)``, a generator of (fraction, message)."""
-
-    @classmethod
-    def idle(cls, context: bpy.types.Context) -> bool:
-        """Return whether no job runs; otherwise say so as the reason why the button is greyed out."""
-        if context.window_manager.scanstage_job.running:
-            cls.poll_message_set("Another Scanstage job is running: wait for it, or press Esc")
-            return False
-        return True
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         """Yield (fraction, message) after each step of the work."""

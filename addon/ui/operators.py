@@ -27,7 +27,7 @@ from ..results.export import export_result
 from ..results.present import face_errors, show_comparison, show_result
 from ..stage import ownership, staging
 from ..stage.presets import PRESETS
-from .jobs import Job, in_thread
+from .jobs import Job, idle, in_thread
 from .masks import show_masks
 from .properties import field_name, values_of
 from .viewport import frame_stage, show_colors
@@ -68,7 +68,7 @@ class SCANSTAGE_OT_stage(bpy.types.Operator):
         if settings.source == 'FILE' and not settings.file:
             cls.poll_message_set("Choose the file of the object that is to be scanned")
             return False
-        return Job.idle.__func__(cls, context)
+        return idle(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.scanstage
@@ -100,7 +100,7 @@ class SCANSTAGE_OT_remove_stage(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_stage(cls, context) and Job.idle.__func__(cls, context)
+        return _has_stage(cls, context) and idle(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         staging.remove(context.scene)
@@ -116,7 +116,7 @@ class SCANSTAGE_OT_capture(Job, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_stage(cls, context) and cls.idle(context)
+        return _has_stage(cls, context) and idle(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         settings = context.scene.scanstage
@@ -139,7 +139,7 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return cls.idle(context)
+        return idle(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the file first; `execute` runs the import."""
@@ -162,7 +162,7 @@ class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_captures(cls, context) and cls.idle(context)
+        return _has_captures(cls, context) and idle(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         settings = context.scene.scanstage
@@ -180,7 +180,7 @@ class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_captures(cls, context) and cls.idle(context)
+        return _has_captures(cls, context) and idle(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         scene, settings = context.scene, context.scene.scanstage
@@ -208,7 +208,7 @@ class SCANSTAGE_OT_show_result(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_result(cls, context) and Job.idle.__func__(cls, context)
+        return _has_result(cls, context) and idle(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         settings = context.scene.scanstage
@@ -231,7 +231,7 @@ class SCANSTAGE_OT_evaluate(Job, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_result(cls, context) and cls.idle(context)
+        return _has_result(cls, context) and idle(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         scene, settings = context.scene, context.scene.scanstage
@@ -257,7 +257,7 @@ class SCANSTAGE_OT_export(ExportHelper, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return _has_result(cls, context) and Job.idle.__func__(cls, context)
+        return _has_result(cls, context) and idle(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for the name, with a sensible one proposed."""

@@ -1,0 +1,188 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every button, called without a window, does what the function behind it does."""
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+import addon
+from addon import workflow
+from addon.captures.store import read_capture
+from addon.errors import Cancelled, ScanstageError
+from addon.reconstruction.methods import METHODS
+from addon.reconstruction.silhouettes import SILHOUETTE_OPTIONS
+from addon.results.folder import read_result
+from addon.stage.presets import PRESETS
+
+
+@pytest.fixture
+def scene(empty_scene, tmp_path):
+    """A saved scene with the extension registered, and a small rig chosen."""
+    addon.register()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    settings = bpy.context.scene.scanstage
+    settings.builtin = "knot"
+    rig = settings.preset_turntable
+    rig.views, rig.resolution_x, rig.resolution_y = 6, 120, 90
+    settings.voxels = 40
+    yield bpy.context.scene
+    addon.unregister()
+
+
+@pytest.fixture
+def captured(scene):
+    """The scene, staged and captured."""
+    assert bpy.ops.scanstage.stage() == {'FINISHED'}
+    assert bpy.ops.scanstage.capture() == {'FINISHED'}
+    return scene
+
+
+def test_from_stage_to_evaluation(captured, tmp_path):
+    settings = captured.scanstage
+    capture, result = tmp_path / "scanstage" / "capture", tmp_path / "scanstage" / "result"
+    assert len(read_capture(capture).frames) == captured.frame_end == 6
+    assert settings.capture_state == "6 of 6 frames captured"
+
+    assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    assert "voxels" in settings.result_lines
+    mesh = bpy.data.objects["Result"].data
+    found = read_result(result)
+    assert len(mesh.polygons) == len(found.surface.quads)
+    by_hand = tmp_path / "by hand"
+    workflow.reconstruct(capture, "visual-hull", by_hand, voxels=40)
+    assert np.array_equal(read_result(by_hand).volume.dense(), found.volume.dense())
+
+    assert bpy.ops.scanstage.evaluate() == {'FINISHED'}
+    assert json.loads(settings.measures) == workflow.evaluate_result(by_hand)
+    assert "Comparison" in bpy.data.collections
+
+    assert bpy.ops.scanstage.show_masks() == {'FINISHED'}
+    assert captured.camera.data.background_images[0].image.source == 'SEQUENCE'
+
+    settings.smooth = True
+    assert bpy.ops.scanstage.show_result() == {'FINISHED'}
+    assert [modifier.type for modifier in bpy.data.objects["Result"].modifiers]
+
+    out = tmp_path / "mesh.stl"
+    assert bpy.ops.scanstage.export_mesh(filepath=str(out)) == {'FINISHED'}
+    assert out.stat().st_size > 1000
+
+    assert bpy.ops.scanstage.remove_stage() == {'FINISHED'}
+    assert "Scanstage" not in bpy.data.collections and "Result" in bpy.data.objects
+
+
+def test_options_of_the_panel_reach_the_method(captured, tmp_path):
+    settings = captured.scanstage
+    settings.method_visual_hull.rule, settings.silhouettes.dilate = "center", 2
+    settings.use_bounds, settings.bounds_lower, settings.bounds_upper = True, (-0.1, -0.1, 0), (0.1, 0.1, 0.2)
+    assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    report = read_result(tmp_path / "scanstage" / "result").report
+    assert report["options"]["rule"] == "center"
+    assert report["silhouette"] == {"dilate": 2, "conservative": False}
+    assert report["grid"]["shape"] == [40, 40, 40] and report["grid"]["voxel_size"] == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize("operator, reason", [
+    ("capture", "Build a stage first"), ("remove_stage", "Build a stage first"), ("reconstruct", "Capture or import pictures first"),
+    ("show_masks", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"),
+    ("export_mesh", "Reconstruct first")])
+def test_a_button_that_cannot_work_yet_says_why(scene, operator, reason):
+    with pytest.raises(RuntimeError, match=reason):
+        getattr(bpy.ops.scanstage, operator)()
+
+
+def test_a_second_job_is_refused(captured):
+    bpy.context.window_manager.scanstage_job.running = True
+    with pytest.raises(RuntimeError, match="Another Scanstage job is running"):
+        bpy.ops.scanstage.reconstruct()
+    bpy.context.window_manager.scanstage_job.running = False
+
+
+def test_bad_input_is_an_error_report(captured, tmp_path):
+    picture = tmp_path / "scanstage" / "capture" / "images" / "0003.png"
+    picture.write_bytes(picture.read_bytes()[:100])
+    with pytest.raises(RuntimeError, match="0003.png"):
+        bpy.ops.scanstage.reconstruct()
+    assert "Result" not in bpy.data.objects
+
+
+def test_an_object_of_the_scene_is_staged_as_it_is(scene):
+    bpy.ops.mesh.primitive_cube_add(size=0.1, location=(1, 2, 3))
+    cube = bpy.context.object
+    scene.scanstage.source, scene.scanstage.subject = 'SCENE', cube
+    assert bpy.ops.scanstage.stage() == {'FINISHED'}
+    assert np.allclose(cube.matrix_world.translation, (1, 2, 3))
+
+
+def test_photographs_are_imported(scene, tmp_path, monkeypatch):
+    from addon.ui import operators
+
+    with pytest.raises(RuntimeError, match="nothing.xml"):
+        bpy.ops.scanstage.import_captures(filepath=str(tmp_path / "nothing.xml"), format="opencv")
+    assert operators.capture_state(tmp_path) == "no captures"
+
+
+def test_every_option_of_every_table_is_a_property(scene):
+    settings = scene.scanstage
+    tables = [(settings.silhouettes, SILHOUETTE_OPTIONS)]
+    tables += [(getattr(settings, f"method_{name.replace('-', '_')}"), method.options) for name, method in METHODS.items()]
+    tables += [(getattr(settings, f"preset_{name.replace('-', '_')}"), preset.options) for name, preset in PRESETS.items()]
+    for group, options in tables:
+        for option in options:
+            field = group.bl_rna.properties[option.name]
+            assert field.description == option.description
+            assert getattr(group, option.name) == (pytest.approx(option.default) if isinstance(option.default, float) else option.default) \
+                or option.name in ("views", "resolution_x", "resolution_y")
+
+
+def test_registering_three_times_leaves_nothing(empty_scene):
+    def state():
+        return {name for name in dir(bpy.types) if "scanstage" in name.lower()}, hasattr(bpy.types.Scene, "scanstage"), \
+            hasattr(bpy.types.WindowManager, "scanstage_job"), dir(bpy.ops.scanstage)
+
+    before = state()
+    for _ in range(3):
+        addon.register()
+        addon.unregister()
+    assert state() == before
+
+
+def test_a_thread_reports_returns_raises_and_stops(scene):
+    from addon.ui.jobs import in_thread
+
+    seen = []
+
+    def work(limit, *, progress):
+        for step in range(limit):
+            seen.append(step)
+            progress(step / limit, f"step {step}")
+        if limit == 3:
+            raise ScanstageError("three is bad")
+        return limit
+
+    def outcome(generator):
+        while True:
+            try:
+                next(generator)
+            except StopIteration as end:
+                return end.value
+
+    assert outcome(in_thread(work, 5)) == 5
+    with pytest.raises(ScanstageError, match="three is bad"):
+        outcome(in_thread(work, 3))
+
+    def endless(*, progress):
+        try:
+            while True:
+                progress(0.5, "on and on")
+        except Cancelled:
+            seen.append("stopped")
+            raise
+
+    generator = in_thread(endless)
+    next(generator)
+    generator.close()
+    assert seen[-1] == "stopped"
