@@ -14,7 +14,7 @@ import numpy as np
 
 from .captures.scan import load_scan
 from .captures.schema import FILE_NAME
-from .captures.store import read_capture
+from .captures.store import is_capture, read_capture
 from .errors import ScanstageError
 from .options import Option, Value, resolve
 from .progress import Progress, part_of, silent
@@ -22,9 +22,9 @@ from .reconstruction import methods
 from .reconstruction.evaluation import OPTIONS as EVALUATION_OPTIONS
 from .reconstruction.evaluation import evaluate
 from .reconstruction.mesh import TriangleMesh
-from .reconstruction.preview import render_preview
+from .reconstruction.preview import render_preview, upward
 from .reconstruction.silhouettes import SILHOUETTE_OPTIONS
-from .results.folder import Result, check_replaceable, read_result, report_section, write_result
+from .results.folder import REPORT, Result, check_replaceable, read_result, report_section, write_result
 from .results.ply import read_ply
 
 
@@ -52,26 +52,46 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     Returns
     -------
     dict
-        The report, as in ``result.json``.
+        The report, as in ``result.json``: that of `methods.reconstruct`, with ``capture``, and with the silhouette's options
+        that were not left to the capture set.
+
+    Raises
+    ------
+    ScanstageError
+        An option, the capture set or the place for the result cannot be used: no folder is then written.
     """
-    check_replaceable(out)
-    entry, options = methods.find_method(method), dict(options or {})
-    known = {option.name for option in reconstruct_options(method)}
-    if unknown := options.keys() - known:
-        raise ScanstageError(f"method {method} has no option {min(unknown)!r}; its options are: {', '.join(sorted(known))}")
-    own = {option.name for option in entry.options}
-    silhouette = {name: value for name, value in options.items() if name not in own}
-    if options.get("rule") == "center":
+    _check_place(out, capture)
+    own, silhouette = _divided(method, options or {})
+    own = methods.check_call(method, voxels=voxels, bounds=bounds, options=own)
+    if own.get("rule") == "center":
         silhouette.setdefault("conservative", False)  # the rule is unbiased only with masks that are
     scan = load_scan(capture, silhouette, part_of(progress, 0.0, 0.2))
-    found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, progress=part_of(progress, 0.2, 0.9),
-                                options={name: value for name, value in options.items() if name in own})
+    found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
     report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": silhouette}
-    preview = render_preview(found.surface, found.volume.grid, found.colors.rgb)
+    up = upward([view.camera for view in scan.views])
+    preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
     write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview)
-    progress(1.0, "Done")
+    progress(1.0, "Result written")
     return report
+
+
+def _check_place(out: Path, capture: Path) -> None:
+    check_replaceable(out)
+    if Path(capture).resolve().is_relative_to(Path(out).resolve()):  # an older result there goes, with all that is in it
+        raise ScanstageError(f"{out}: holds the capture set and would be replaced; name another folder for the result")
+
+
+def _divided(method: str, options: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
+    """Return the options that are the method's, as given, and those of the silhouettes, checked."""
+    entry = methods.find_method(method)
+    known = {option.name: option for option in reconstruct_options(method)}
+    if unknown := options.keys() - known.keys():
+        raise ScanstageError(f"method {method} has no option {min(unknown)!r}; its options are: {', '.join(known)}")
+    own = {option.name for option in entry.options}
+    others = [known[name] for name in options if name not in own]
+    return ({name: value for name, value in options.items() if name in own},
+            resolve(others, {option.name: options[option.name] for option in others}, "silhouette"))
 
 
 def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options: Mapping[str, Value] | None = None,
@@ -91,10 +111,15 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     -------
     dict
         ``volume`` and ``surface``, as the design names them.
+
+    Raises
+    ------
+    ScanstageError
+        The result, the truth or an option cannot be used.
     """
-    result = read_result(folder)
-    truth = truth or truth_of(result)
     values = resolve(EVALUATION_OPTIONS, options or {}, "evaluate")
+    result = read_result(folder)
+    truth = truth_of(result) if truth is None else truth
     measures = evaluate(result.volume, result.surface, truth, progress=progress, **values)
     report_section(folder, "evaluation", measures)
     return measures
@@ -108,7 +133,11 @@ def truth_of(result: Result) -> TriangleMesh:
     ScanstageError
         The capture set is gone, or holds no truth (photographs do not).
     """
-    folder = Path(result.report["capture"])
+    folder = result.report.get("capture")
+    if not isinstance(folder, str) or not is_capture(Path(folder)):
+        raise ScanstageError(f"{result.folder / REPORT}: capture: there is no capture set at {str(folder)[:200]!r}; name a mesh "
+                             "with --truth")
+    folder = Path(folder)
     capture = read_capture(folder, require_pictures=False)
     if capture.truth_mesh is None:
         raise ScanstageError(f"{folder / FILE_NAME}: truth is null: photographs have none; name a mesh with --truth")

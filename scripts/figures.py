@@ -1,18 +1,19 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Prints the figures that the project promises, as tables, from renders and photographs made into captures on the spot.
+"""Prints the figures that the project promises, as tables: what the visual hull loses, adds and explains.
 
-    python3 scripts/figures.py objects         every built-in object at 8, 24 and 72 views: what is lost, what is too much
-    python3 scripts/figures.py photographs     two sets of photographs: how well the hull fits the masks
+    python3 scripts/figures.py objects         every built-in object, rendered at 8, 24 and 72 views (minutes)
+    python3 scripts/figures.py photographs     two sets of photographs: how well the hull fits their masks
     python3 scripts/figures.py                 both
 
-Exit status 1 if a figure is missed. The photographs, which are not part of the project, are looked for in the folder that
-SCANSTAGE_DATA names; without them that table is left out. It makes its own environment on first use.
+Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
+SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
 """
 
 import argparse
 import importlib.util
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -21,66 +22,68 @@ import environment
 import scanstage
 
 ROOT = Path(__file__).resolve().parents[1]
-MOST_VIEWS, OBJECT_VOXELS = 72, 128
-VIEWS = (8, 24, MOST_VIEWS)
-SETS = (  # name, folder, format, options, the least mean IoU
-    ("squirrel", "turntable_squirrel", "opencv", {}, 0.95),
-    ("dinosaur", "dino_sparse_ring", "middlebury", {}, 0.97),
+VIEWS = (8, 24, 72)
+OBJECT_VOXELS, PHOTOGRAPH_VOXELS = 128, 256
+SETS = (  # name, folder, import format, least mean IoU
+    ("squirrel", "turntable_squirrel", "opencv", 0.95),
+    ("dinosaur", "dino_sparse_ring", "middlebury", 0.97),
 )
-PHOTOGRAPH_VOXELS = 256
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("table", nargs="?", choices=["objects", "photographs", "all"], default="all")
+    tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs]}
+    parser.add_argument("table", nargs="?", choices=tables, default="both")
     call = parser.parse_args()
     if importlib.util.find_spec("bpy") is None:
         return run_in_environment()
     scanstage.load("addon", ROOT / "addon" / "__init__.py")
     import bpy  # before OpenCV: both bring libraries of their own
 
+    from addon.cli.progress_bar import ProgressBar
     from addon.errors import ScanstageError
 
     print(f"Blender {bpy.app.version_string}", file=sys.stderr)
+    bar = ProgressBar()
     try:
-        missed = objects() if call.table in ("objects", "all") else 0
-        missed += photographs() if call.table in ("photographs", "all") else 0
+        return int(sum(print_table(bar) for print_table in tables[call.table]) > 0)
     except ScanstageError as error:
+        bar.close()
         print(f"figures: error: {error}", file=sys.stderr)
         return 1
-    return int(missed > 0)
+    finally:
+        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # Blender's own, which the end below would leave behind
 
 
 def run_in_environment():
     try:
-        python = environment.prepare()
+        command = [str(environment.prepare()), str(Path(__file__).resolve()), *sys.argv[1:]]
     except environment.SetupError as error:
         print(f"figures: error: {error}", file=sys.stderr)
         return 1
-    sys.stderr.flush()
-    os.execv(python, [str(python), __file__, *sys.argv[1:]])
+    os.execv(command[0], command)
 
 
-def objects():
-    """Print the table of the built-in objects, rendered and carved conservatively; return how many rows lost a voxel."""
+def objects(bar):
+    """Print the table of the built-in objects, carved conservatively; return how many rows lost voxels of the truth."""
     from addon.reconstruction import methods
     from addon.reconstruction.evaluation.measures import volume_measures
     from addon.reconstruction.scan import Scan
     from addon.stage.objects import BUILTINS
 
-    row("object", "views", "truth_voxels_removed", "excess", "loss", "IoU", "mean silhouette IoU")
-    row(*["---"] * 7)
+    keys = "truth_voxels_removed", "excess", "loss", "iou"
+    table("object", "views", *keys, "mean silhouette IoU")
     missed = 0
     for name in BUILTINS:
         with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
-            scan, truth = rendered(name, Path(folder), told(name))
-            for count in VIEWS:  # the poses of a table in 72 steps are also those of 24 and 8
-                part = Scan(scan.views[::MOST_VIEWS // count])
-                found = methods.reconstruct(part, "visual-hull", voxels=OBJECT_VOXELS, progress=told(name))
-                measures = volume_measures(found.volume, truth)
+            scan, truth = rendered(name, Path(folder), told(bar, name))
+            for views in VIEWS:  # the poses of a turn in 72 steps hold those of one in 24 and in 8
+                part = Scan(scan.views[::len(scan.views) // views])
+                found = methods.reconstruct(part, "visual-hull", voxels=OBJECT_VOXELS, progress=told(bar, name))
+                measures, seen = volume_measures(found.volume, truth), found.report["silhouette_iou"]["mean"]
                 missed += measures["truth_voxels_removed"] > 0
-                row(name, count, measures["truth_voxels_removed"], f"{measures['excess']:.4f}", f"{measures['loss']:.2g}",
-                    f"{measures['iou']:.4f}", f"{found.report['silhouette_iou']['mean']:.4f}")
+                bar.close()
+                row(name, views, *(f"{measures[key]:.4g}" for key in keys), f"{seen:.4f}")
     return missed
 
 
@@ -97,54 +100,46 @@ def rendered(name, folder, progress):
 
     with muted_stdout():
         new_file()
-        build(bpy.context.scene, "turntable", name, {"views": MOST_VIEWS})
+        build(bpy.context.scene, "turntable", name, {"views": max(VIEWS)})
         drain(capture_frames(bpy.context.scene, folder), progress)
     return load_scan(folder, progress=progress), read_ply(folder / TRUTH)
 
 
-def photographs():
+def photographs(bar):
     """Print the table of the photographs, carved by the centre rule; return how many figures are missed."""
     from addon.captures.importers import import_capture
     from addon.workflow import reconstruct
 
     data = Path(os.environ.get("SCANSTAGE_DATA", ROOT.parent / "shared" / "data"))
-    there = [entry for entry in SETS if (data / entry[1]).is_dir()]
-    for entry in SETS:
-        if entry not in there:
-            print(f"figures: {entry[0]}: not run, {data / entry[1]} is not there; set SCANSTAGE_DATA", file=sys.stderr)
-    if not there:
-        return 0
-    row("photographs", "mean silhouette IoU", "at least", "")
-    row(*["---"] * 4)
+    table("photographs", "mean silhouette IoU", "at least")
     missed = 0
-    for name, source, format, options, least in there:
+    for name, source, layout, least in SETS:
+        if not (data / source).is_dir():
+            print(f"figures: {name}: left out, {data / source} is not there; set SCANSTAGE_DATA", file=sys.stderr)
+            continue
         with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
-            capture, result = Path(folder) / "capture", Path(folder) / "result"
-            import_capture(format, data / source, capture, options, told(name))
+            capture, result = Path(folder, "capture"), Path(folder, "result")
+            import_capture(layout, data / source, capture, progress=told(bar, name))
             report = reconstruct(capture, "visual-hull", result, voxels=PHOTOGRAPH_VOXELS, options={"rule": "center"},
-                                 progress=told(name))
-        found = report["silhouette_iou"]["mean"]
-        missed += found < least
-        row(name, f"{found:.4f}", least, "missed" if found < least else "reached")
+                                 progress=told(bar, name))
+        missed += (seen := report["silhouette_iou"]["mean"]) < least
+        bar.close()
+        row(name, f"{seen:.4f}", least)
     return missed
+
+
+def table(*titles):
+    print()
+    row(*titles)
+    row(*["---"] * len(titles))
 
 
 def row(*cells):
     print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
 
 
-def told(name):
-    """Return a progress callback that says on stderr what is being worked on."""
-    from addon.cli.progress_bar import ProgressBar
-
-    bar = ProgressBar()
-
-    def progress(fraction, message):
-        bar(fraction, f"{name}: {message}")
-        if fraction >= 1:
-            bar.close()
-
-    return progress
+def told(bar, name):
+    return lambda fraction, message: bar(fraction, f"{name}: {message}")
 
 
 if __name__ == "__main__":

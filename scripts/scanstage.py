@@ -10,6 +10,7 @@ Both run `addon.cli.main`, as `blender --command scanstage` does once the extens
 
 import importlib.util
 import os
+import shutil
 import site
 import subprocess
 import sys
@@ -42,7 +43,11 @@ def main():
     load("addon", ROOT / "addon" / "__init__.py")
     cli = importlib.import_module("addon.cli")
     in_blender = "--" in sys.argv and Path(sys.argv[0]).name.lower().startswith("blender")
-    return cli.main(sys.argv[sys.argv.index("--") + 1:] if in_blender else sys.argv[1:])
+    try:
+        return cli.main(sys.argv[sys.argv.index("--") + 1:] if in_blender else sys.argv[1:])
+    finally:
+        if "bpy" in sys.modules:
+            shutil.rmtree(sys.modules["bpy"].app.tempdir, ignore_errors=True)  # the end below leaves Blender no time for it
 
 
 def run_in_environment(environment):

@@ -1,15 +1,22 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Analytic objects and rigs for tests: balls and boxes whose silhouettes and insides are formulas, and rings of cameras."""
+"""Analytic objects and rigs for tests: balls and boxes whose silhouettes and insides are formulas, rings of cameras, captures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from addon.captures.pictures import write_picture
+from addon.captures.schema import Capture, Frame
+from addon.captures.store import write_capture
 from addon.reconstruction.geometry import Camera, look_at
+from addon.reconstruction.mesh import TriangleMesh
 from addon.reconstruction.scan import View
+from addon.results.ply import write_ply
 
 
 @dataclass(frozen=True)
@@ -83,3 +90,31 @@ def black_picture() -> np.ndarray:
 def views_of(cameras, shapes) -> list[View]:
     """Return a view for each camera, with the shapes' silhouette."""
     return [View(f"{i:04d}", camera, silhouette(camera, shapes), black_picture) for i, camera in enumerate(cameras)]
+
+
+def sphere_mesh(ball: Ball, rings: int = 32) -> TriangleMesh:
+    """Return a closed mesh with all its vertices on a ball's surface: it lies inside the ball."""
+    polar = np.pi * np.arange(1, rings)[:, None] / rings
+    around = np.pi * np.arange(2 * rings) / rings
+    belt = np.stack((np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.broadcast_to(np.cos(polar), (rings - 1, 2 * rings))), -1)
+    vertices = np.concatenate(([[0.0, 0.0, 1.0]], belt.reshape(-1, 3), [[0.0, 0.0, -1.0]]))
+    rows = 1 + np.arange(belt[..., 0].size).reshape(rings - 1, 2 * rings)
+    here, beside = rows, np.roll(rows, -1, axis=1)
+    top, bottom = np.zeros(2 * rings, int), np.full(2 * rings, len(vertices) - 1)
+    triangles = [np.stack(corners, -1).reshape(-1, 3) for corners in (
+        (top, here[0], beside[0]), (here[:-1], here[1:], beside[1:]), (here[:-1], beside[1:], beside[:-1]), (here[-1], bottom, beside[-1]))]
+    return TriangleMesh(np.array(ball.centre) + ball.radius * vertices, np.concatenate(triangles))
+
+
+def write_ball_capture(folder: Path, ball: Ball, cameras: Sequence[Camera], *, color=(0.6, 0.3, 0.1), **fields) -> Capture:
+    """Write a whole capture set of a ball of one colour: pictures with alpha, one camera a frame, and the truth."""
+    names = [f"{number:04d}" for number in range(1, len(cameras) + 1)]
+    for name, camera in zip(names, cameras, strict=True):
+        seen = silhouette(camera, [ball])
+        write_picture(folder / "images" / f"{name}.png", seen[..., None] * np.array(color), seen * 1.0)
+    truth = sphere_mesh(ball)
+    write_ply(folder / "truth.ply", truth.vertices, truth.triangles, double=True)
+    capture = Capture(dict(zip(names, cameras, strict=True)), tuple(Frame(name, f"images/{name}.png", name) for name in names),
+                      truth_mesh="truth.ply", **fields)
+    write_capture(folder, capture)
+    return capture

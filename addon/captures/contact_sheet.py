@@ -13,7 +13,7 @@ from ..reconstruction.color import linear_to_srgb
 from .pictures import read_picture, write_picture
 from .schema import Capture
 
-_THUMBNAIL = 200  # pixels wide
+_THUMBNAIL = 200  # pixels along the longer side
 _GAP = 4
 _PAPER = 0.72  # linear grey behind pictures with alpha, and between them
 _MOST = 200  # pictures; of more, every n-th is shown
@@ -30,11 +30,11 @@ def write_contact_sheet(folder: Path, capture: Capture, out: Path) -> None:
     frames = capture.frames[::-(-len(capture.frames) // _MOST)]
     thumbnails = []
     for frame in frames:
-        rgb, alpha = read_picture(Path(folder) / frame.image, capture.encoding)
+        rgb, alpha = read_picture(Path(folder) / frame.image, capture.encoding, name=frame.image)
         if alpha is not None:
             rgb = rgb * alpha[..., None] + _PAPER * (1 - alpha[..., None])
-        height = max(1, round(_THUMBNAIL * rgb.shape[0] / rgb.shape[1]))
-        thumbnails.append(cv2.resize(np.ascontiguousarray(rgb), (_THUMBNAIL, height), interpolation=cv2.INTER_AREA))
+        size = [max(1, round(_THUMBNAIL * side / max(rgb.shape[:2]))) for side in rgb.shape[1::-1]]
+        thumbnails.append(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
     write_picture(out, linear_to_srgb(_laid_out(thumbnails)), bits=8)
 
 

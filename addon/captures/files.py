@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from ..errors import ScanstageError
@@ -30,7 +31,8 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise ScanstageError(f"{path.name}: cannot be written ({error.strerror}); "
                              f"check the disk space and the rights of {path.parent}") from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # it is not there, or what is wrong has been said
+            temporary.unlink()
 
 
 def read_bytes(path: Path, most: int, name: str | None = None) -> bytes:

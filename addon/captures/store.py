@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,7 +21,7 @@ __all__ = ["files_of", "is_capture", "picture_is_whole", "read_capture", "read_p
 
 def is_capture(folder: Path) -> bool:
     """Return whether the folder holds a `capture.json`, good or bad."""
-    return (Path(folder) / FILE_NAME).is_file()
+    return os.path.isfile(Path(folder) / FILE_NAME)  # unlike Path.is_file also False for a name that no disk takes
 
 
 def read_capture(folder: Path, *, require_pictures: bool = True) -> Capture:

@@ -16,7 +16,7 @@ from ..progress import Progress, part_of
 from ..render.capture import capture_frames
 from ..results.blend import new_file, save_blend
 from ..results.comparison import render_comparison
-from ..results.folder import read_result
+from ..results.folder import check_replaceable, read_result
 from ..results.present import face_errors, show_comparison, show_result
 from ..stage.staging import build
 from ..workflow import evaluate_result, reconstruct, truth_of
@@ -42,6 +42,7 @@ def run_demo(out: Path, settings: Mapping[str, Value], progress: Progress) -> di
     """
     options = resolve(OPTIONS, settings, "demo")
     capture, result = out / "capture", out / "result"
+    check_replaceable(result)
     new_file()
     scene = bpy.context.scene
     progress(0.0, "Building the stage")

@@ -7,8 +7,8 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager
 
 from ..progress import Progress
 
@@ -52,10 +52,11 @@ class ProgressBar:
         self._message = ""
 
 
-def drain(steps: Iterable[tuple[float, str]], progress: Progress) -> None:
-    """Run a generator of steps to its end, reporting each."""
-    for fraction, message in steps:
-        progress(fraction, message)
+def drain(steps: Generator[tuple[float, str], None, None], progress: Progress) -> None:
+    """Run a generator of steps to its end, reporting each; it is closed, and so cleans up, where the reporting stops it."""
+    with closing(steps):
+        for fraction, message in steps:
+            progress(fraction, message)
 
 
 @contextmanager

@@ -86,10 +86,14 @@ def _capture(call: argparse.Namespace, progress: Progress) -> dict:
     from ..captures.store import read_capture
     from ..render.capture import capture_frames
     from ..results.blend import open_blend
+    from ..stage.ownership import find_stage
 
     _no_settings(call, "capture")
     with muted_stdout():
         open_blend(call.file)
+        if find_stage(bpy.context.scene) is None:
+            raise ScanstageError(f"{call.file}: scene {bpy.context.scene.name!r} has no stage; make a file with "
+                                 f"`scanstage stage PRESET --out {call.file}`")
         drain(capture_frames(bpy.context.scene, call.out), progress)
     frames = len(read_capture(call.out).frames)
     return {"capture": str(call.out), "frames": frames, "lines": [f"{call.out}: {frames} frames, all whole"]}
@@ -131,8 +135,9 @@ def _evaluate_arguments(parser: argparse.ArgumentParser) -> None:
 def _evaluate(call: argparse.Namespace, progress: Progress) -> dict:
     from ..results.meshes import read_mesh
 
-    measures = evaluate_result(call.result, read_mesh(call.truth) if call.truth else None, options=dict(call.settings),
-                               progress=progress)
+    with muted_stdout():
+        truth = read_mesh(call.truth) if call.truth else None
+    measures = evaluate_result(call.result, truth, options=dict(call.settings), progress=progress)
     return {**measures, "lines": measure_lines(measures)}
 
 

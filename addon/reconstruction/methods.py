@@ -8,6 +8,7 @@ Panels, the command line, the tests and the manual all read `METHODS`. A new met
 from __future__ import annotations
 
 import time
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -30,6 +31,7 @@ DEFAULT_VOXELS = 128
 _BYTES_A_SURFACE_VOXEL = 450  # bricks, mesh, colours and the arrays on the way to them; see tests/reconstruction
 _BYTES_A_PIXEL = 24  # mask, its codes at every level, summed areas
 _LARGEST_GRID = 1 << 14  # voxels a side: half-voxel coordinates stay exact in the octree's sums
+_LARGEST_NUMBER = 1e9  # of a bound, and one over the least size of a voxel: beyond, squares and products lose their meaning
 
 
 @dataclass(frozen=True)
@@ -126,11 +128,12 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         An option, the bounds or the views cannot be used, or the work would need more memory than there is.
     """
     entry = find_method(method)
-    values = resolve(entry.options, options or {}, f"method {method}")
+    values = check_call(method, voxels=voxels, bounds=bounds, options=options)
     watch = Stopwatch()
     with watch.step("bounds"):
-        grid = _grid(bounds if bounds is not None else entry.bounds(scan, **values), voxels)
-        _refuse_too_large(grid, scan)
+        box = bounds if bounds is not None else entry.bounds(scan, **values)
+        _refuse_too_large(box, voxels, scan)
+        grid = _grid(box, voxels)
     with watch.step("carve"):
         volume, found = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **values)
     with watch.step("surface"):
@@ -143,6 +146,7 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
             progress(0.85 + 0.15 * index / len(scan.views), "Comparing with the silhouettes")
             if view.mask is not None:
                 ious[view.name] = round(reprojection_iou(surface, grid, view), 4)
+    progress(1.0, "Reconstructed")
     warnings = found.pop("warnings")
     if bounds is not None or scan.bounds is not None:
         warnings += _clipped(volume)
@@ -157,13 +161,32 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     return Reconstruction(volume, surface, colors, report)
 
 
+def check_call(method: str, *, voxels: int = DEFAULT_VOXELS, bounds: np.ndarray | None = None,
+               options: Mapping[str, Value] | None = None) -> dict[str, Value]:
+    """Return a value for each of the method's options, or refuse the call: before any picture is read.
+
+    Raises
+    ------
+    ScanstageError
+        The method, an option, the number of voxels or the bounds cannot be used.
+    """
+    values = resolve(find_method(method).options, options or {}, f"method {method}")
+    if not 1 <= voxels <= _LARGEST_GRID:
+        raise ScanstageError(f"--voxels: must be from 1 to {_LARGEST_GRID} along the longest side of the bounds")
+    if bounds is not None:
+        _grid(bounds, voxels)
+    return values
+
+
 def _grid(bounds: np.ndarray, voxels: int) -> VoxelGrid:
+    if (np.abs(bounds) > _LARGEST_NUMBER).any():
+        raise ScanstageError(f"--bounds: must lie between -{_LARGEST_NUMBER:g} and {_LARGEST_NUMBER:g}; use a larger unit")
     try:
         grid = VoxelGrid.from_bounds(bounds[0], bounds[1], voxels)
     except ValueError as error:
         raise ScanstageError(f"--bounds: {error}") from None
-    if max(grid.shape) > _LARGEST_GRID:
-        raise ScanstageError(f"--voxels: at most {_LARGEST_GRID} along a side, not {voxels}")
+    if grid.voxel_size < 1 / _LARGEST_NUMBER:
+        raise ScanstageError(f"--bounds: voxels of {grid.voxel_size:g} are too small to compute with; use a smaller unit")
     return grid
 
 
@@ -184,12 +207,14 @@ def predicted_memory(grid: VoxelGrid, scan: Scan) -> int:
     return _BYTES_A_SURFACE_VOXEL * 2 * (x * y + y * z + z * x) + _BYTES_A_PIXEL * pixels + bricks
 
 
-def _refuse_too_large(grid: VoxelGrid, scan: Scan) -> None:
-    needed, there = predicted_memory(grid, scan), available_memory()
-    if needed <= there:
+def _refuse_too_large(bounds: np.ndarray, voxels: int, scan: Scan) -> None:
+    def need(count: int) -> int:
+        return predicted_memory(_grid(bounds, count), scan)
+
+    there = available_memory()
+    if need(voxels) <= there:
         return
-    voxels = max(grid.shape)
-    while voxels > 1 and predicted_memory(VoxelGrid.from_bounds(grid.origin, grid.upper, voxels), scan) > there:
-        voxels = voxels * 7 // 8
-    raise ScanstageError(f"--voxels: {max(grid.shape)} voxels a side may need {needed / 2 ** 30:.1f} GiB of memory and "
-                         f"{there / 2 ** 30:.1f} GiB are free; at most {voxels} fit")
+    fitting = bisect_right(range(1, voxels), there, key=need)  # before the first count that does not fit: the largest that does
+    remedy = f"at most {fitting} fit" if fitting else "the pictures alone are too many or too large"
+    raise ScanstageError(f"--voxels: {voxels} voxels a side may need {need(voxels) / 2 ** 30:.3g} GiB of memory and "
+                         f"{there / 2 ** 30:.3g} GiB are free; {remedy}")

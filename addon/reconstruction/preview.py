@@ -9,10 +9,13 @@ by unsharp masking the depth buffer"), and the normals keep a share of the faces
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
 from .geometry import Camera, VoxelGrid, look_at
+from .volumetric.bounds import meeting_point
 from .volumetric.item_buffer import face_buffer
 from .volumetric.surface import Surface
 
@@ -26,10 +29,12 @@ BACKGROUND = np.array([[0.86, 0.88, 0.91], [0.56, 0.57, 0.60]], np.float32)  # l
 KEY, KEY_LIGHT = np.array([-0.55, 0.75, 0.45]), np.array([0.92, 0.88, 0.80])  # right, up, towards the camera
 SKY_LIGHT, FLOOR_LIGHT = np.array([0.46, 0.50, 0.56]), np.array([0.18, 0.17, 0.16])
 SHADOW_CELLS = 256
+UP = np.array([0.0, 0.0, 1.0])
+_FLAT = 0.1
 
 
 def render_preview(surface: Surface, grid: VoxelGrid, rgb: np.ndarray | None = None, *,
-                   size: tuple[int, int] = (960, 720)) -> np.ndarray:
+                   size: tuple[int, int] = (960, 720), up: np.ndarray = UP) -> np.ndarray:
     """Draw a volume's surface.
 
     Parameters
@@ -41,6 +46,8 @@ def render_preview(surface: Surface, grid: VoxelGrid, rgb: np.ndarray | None = N
         Linear colour of each surface voxel; without it the object is of clay.
     size : (int, int)
         Width and height in pixels.
+    up : (3,) array
+        Unit vector that points upward in the picture; photographed objects need not stand along z. See `upward`.
 
     Returns
     -------
@@ -50,12 +57,13 @@ def render_preview(surface: Surface, grid: VoxelGrid, rgb: np.ndarray | None = N
     fine = SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]
     picture = _background(fine)
     if len(surface.quads):
-        camera = _framed(surface.vertices, fine)
-        picture *= (1 - _shadow(surface, grid, camera))[..., None]
+        frame = _frame(np.asarray(up, float))
+        camera = _framed(surface.vertices, fine, frame)
+        picture *= (1 - _shadow(surface, grid, camera, frame))[..., None]
         faces, depth = face_buffer(surface, grid, camera)
         seen = faces >= 0
         voxel = surface.face_voxel[faces[seen]]
-        light = _light(surface, camera)
+        light = _light(surface, camera, frame)
         color = np.broadcast_to(CLAY, (len(surface.voxels), 3)) if rgb is None else np.asarray(rgb, np.float32)
         radius = 0.5 * np.linalg.norm(np.ptp(surface.vertices, axis=0))
         hollow = cv2.resize(_hollows(depth[::2, ::2], seen[::2, ::2], radius), fine)[seen]
@@ -86,12 +94,39 @@ def _background(size: tuple[int, int]) -> np.ndarray:
     return cv2.resize((BACKGROUND[0] * (1 - down) + BACKGROUND[1] * down) * vignette[..., None], size)
 
 
-def _framed(vertices: np.ndarray, size: tuple[int, int]) -> Camera:
+def upward(cameras: Sequence[Camera]) -> np.ndarray:
+    """Return the axis of the object frame, with its sign, that most likely points upward.
+
+    That is the one about which the cameras stand in a ring, on the side from which they look down; a camera may itself be
+    turned on its side. Where they do not stand in a ring, it is the axis that points upward in most pictures.
+    """
+    in_pictures = -np.sum([camera.R[1] for camera in cameras], axis=0)
+    offsets = np.array([camera.centre for camera in cameras]) - meeting_point(cameras)
+    mean = offsets.mean(axis=0)
+    spread = np.linalg.svd(offsets - mean)
+    flat = len(cameras) > 3 and spread[1][2] < _FLAT * spread[1][1]
+    found = spread[2][2] if flat else in_pictures
+    axis = int(np.abs(found).argmax())
+    looks_down = abs(mean[axis]) > _FLAT * np.linalg.norm(offsets, axis=1).mean()
+    sign = np.sign(mean[axis] if flat and looks_down else in_pictures[axis])
+    return np.eye(3)[axis] * (sign or 1.0)
+
+
+def _frame(up: np.ndarray) -> np.ndarray:
+    """Return the (3, 3) rotation from the object frame to one whose z points upward."""
+    if np.array_equal(up, UP):
+        return np.eye(3)
+    right = np.cross(np.eye(3)[np.abs(up).argmin()], up)
+    right /= np.linalg.norm(right)
+    return np.stack((right, np.cross(up, right), up))
+
+
+def _framed(vertices: np.ndarray, size: tuple[int, int], frame: np.ndarray) -> Camera:
     """Return the camera whose picture the vertices fill."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre, radius = (low + high) / 2, 0.5 * np.linalg.norm(high - low)
     direction = np.array([np.cos(ELEVATION) * np.cos(AZIMUTH), np.cos(ELEVATION) * np.sin(AZIMUTH), np.sin(ELEVATION)])
-    R, t = look_at(centre + DISTANCE * radius * direction, centre)
+    R, t = look_at(centre + DISTANCE * radius * direction @ frame, centre, frame[2])
     seen, _ = Camera(np.eye(3), R, t, size).project(vertices)
     low, high = seen.min(axis=0), seen.max(axis=0)
     focal = (FILL * np.array(size) / (high - low)).min()
@@ -99,13 +134,13 @@ def _framed(vertices: np.ndarray, size: tuple[int, int]) -> Camera:
     return Camera([[focal, 0, cx], [0, focal, cy], [0, 0, 1]], R, t, size)
 
 
-def _light(surface: Surface, camera: Camera) -> np.ndarray:
+def _light(surface: Surface, camera: Camera, frame: np.ndarray) -> np.ndarray:
     """Return the (q, 3) float32 light that reaches each face."""
     normals = (1 - FACE_SHARE) * surface.normals(smoothing=2)[surface.face_voxel] + FACE_SHARE * surface.face_normals()
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     key = KEY / np.linalg.norm(KEY) @ (camera.R * [[1], [-1], [-1]])  # the camera's y is down and its z away from us
     lamp = np.maximum(0.15 + 0.85 * normals @ key, 0)  # a lamp of some size: its light reaches round the edge
-    sky = (0.5 + 0.5 * normals[:, 2])[:, None]
+    sky = (0.5 + 0.5 * normals @ frame[2])[:, None]
     return (lamp[:, None] * KEY_LIGHT + sky * SKY_LIGHT + (1 - sky) * FLOOR_LIGHT).astype(np.float32)
 
 
@@ -125,9 +160,9 @@ def _hollows(depth: np.ndarray, seen: np.ndarray, radius: float) -> np.ndarray:
     return np.clip(0.4 * total, 0, 0.55)
 
 
-def _shadow(surface: Surface, grid: VoxelGrid, camera: Camera) -> np.ndarray:
+def _shadow(surface: Surface, grid: VoxelGrid, camera: Camera, frame: np.ndarray) -> np.ndarray:
     """Return (height, width) from 0 to 1: how much of the light the object keeps from the floor it stands on."""
-    points = grid.centres(surface.voxels)
+    points = grid.centres(surface.voxels) @ frame.T
     low, high = points.min(axis=0), points.max(axis=0)
     reach = 1.6 * max(np.ptp(points[:, :2], axis=0).max(), grid.voxel_size)
     origin = (low[:2] + high[:2]) / 2 - reach
@@ -141,7 +176,8 @@ def _shadow(surface: Surface, grid: VoxelGrid, camera: Camera) -> np.ndarray:
         layer = cv2.morphologyEx(layer, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
         shade = 1 - (1 - shade) * (1 - strength * cv2.GaussianBlur(layer, (0, 0), blur))
     # The floor is a plane, so that its picture is a homography away.
-    floor = surface.vertices[:, 2].min()
+    floor = (surface.vertices @ frame[2]).min()
     map_to_floor = np.array([[cell, 0, origin[0] + cell / 2], [0, cell, origin[1] + cell / 2], [0, 0, floor],
                              [0, 0, 1]])
-    return cv2.warpPerspective(shade, camera.P @ map_to_floor, camera.size, flags=cv2.INTER_LINEAR)
+    to_object = np.block([[frame.T, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])
+    return cv2.warpPerspective(shade, camera.P @ to_object @ map_to_floor, camera.size, flags=cv2.INTER_LINEAR)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import bpy
@@ -33,7 +34,7 @@ def open_blend(path: Path) -> None:
     try:
         bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
     except RuntimeError as error:
-        raise ScanstageError(f"{path}: Blender cannot open it ({str(error).strip().splitlines()[0]})") from None
+        raise ScanstageError(f"{path}: Blender cannot open it ({_reason(error)}); stage it again") from None
 
 
 def save_blend(path: Path) -> None:
@@ -47,12 +48,18 @@ def save_blend(path: Path) -> None:
     path = Path(path).resolve()
     if path.suffix != ".blend":
         raise ScanstageError(f"{path}: a scene is saved as .blend; change the file's ending")
-    temporary = sibling(path).with_suffix(".blend")
+    temporary = Path(f"{sibling(path)}.blend")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True)
         os.replace(temporary, path)
     except (OSError, RuntimeError) as error:
-        raise ScanstageError(f"{path}: cannot be written ({error}); check the folder and the disk space") from None
+        raise ScanstageError(f"{path}: cannot be written ({_reason(error)}); check the folder and the disk space") from None
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # it is not there, or what is wrong has been said
+            temporary.unlink()
+
+
+def _reason(error: OSError | RuntimeError) -> str:
+    """Return what went wrong without the file's name, which may be a temporary one, on one line."""
+    return getattr(error, "strerror", None) or " ".join(str(error).split()).rsplit(": ", 1)[-1]

@@ -69,9 +69,12 @@ def check_replaceable(folder) -> None:
     Raises
     ------
     ScanstageError
-        Something is there already that is neither a result folder nor an empty one.
+        Something is there already that is neither a result folder nor an empty one, or nothing can be made there.
     """
     folder = Path(folder)
+    home = next((parent for parent in folder.absolute().parents if parent.exists()), folder)
+    if not home.is_dir() or not os.access(home, os.W_OK):
+        raise ScanstageError(f"{folder}: cannot be made, for {home} is not a folder that can be written to; name another folder")
     if not os.path.lexists(folder):
         return
     if not folder.is_dir():

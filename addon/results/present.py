@@ -11,10 +11,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..errors import ScanstageError
 from ..reconstruction.evaluation import vertex_distances
 from ..reconstruction.mesh import TriangleMesh
 from ..stage.ownership import find_stage
-from ..stage.readback import staged_objects, turntable_of
+from ..stage.readback import frame_kept, staged_objects, truth_mesh, turntable_of
 from .comparison import add_comparison
 from .folder import Result
 from .materials import OWNER
@@ -23,12 +24,13 @@ from .objects import add_polygon_mesh, add_voxel_mesh, remove_result
 COLLECTION_NAME = "Scanstage Results"
 RESULT_NAME = "Result"
 _GAP = 0.6  # between the object and the result beside it, in widths of the result
+_SAME = 1e-5  # of the object's size: what single precision may move
 _SHARE_IN_RANGE = 98.0  # percent of the surface whose distance the colour ramp tells apart
 
 
 def results_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
     """Return the scene's collection of results; made if there is none."""
-    for found in scene.collection.children:
+    for found in scene.collection.children_recursive:
         if found.get(OWNER) == "results":
             return found
     made = bpy.data.collections.new(COLLECTION_NAME)
@@ -47,14 +49,23 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
     result : Result
     smooth : bool
         Take off the voxels' steps with a live modifier.
+
+    Raises
+    ------
+    ScanstageError
+        The result has no voxels.
     """
-    width = float(np.ptp(result.surface.vertices[:, 0]))
-    beside = _staged(scene)[0]
-    beside[:3, 3] += [(1 + _GAP) * width, 0, 0]
+    _refuse_empty(result)
+    home = results_collection(scene)
+    for earlier in [member.name for member in home.objects if member.get(OWNER) == "result"]:
+        remove_result(earlier)  # here and not by name: "Result" may be the user's, or another scene's
+    with frame_kept(scene):
+        beside = _staged(scene)[0]
+    beside[:3, 3] += [(1 + _GAP) * float(np.ptp(result.surface.vertices[:, 0])), 0, 0]
     attributes = {} if result.colors is None else {"views": result.colors.views.astype(np.int32)}
-    return add_voxel_mesh(RESULT_NAME, result.surface, result.colors and result.colors.rgb, collection=results_collection(scene),
-                          grid=result.volume.grid, frame=beside, method=str(result.report["method"]), attributes=attributes,
-                          smooth=smooth)
+    return add_voxel_mesh(RESULT_NAME, result.surface, result.colors and result.colors.rgb, collection=home,
+                          grid=result.volume.grid, frame=beside, method=_method(result), attributes=attributes,
+                          smooth=smooth, replace=False)
 
 
 def face_errors(result: Result, truth: TriangleMesh) -> np.ndarray:
@@ -73,21 +84,16 @@ def show_comparison(scene: bpy.types.Scene, result: Result, truth: TriangleMesh,
         In the object frame.
     errors : (q,) array
         From `face_errors`; computed apart, since that takes seconds and needs no Blender.
+
+    Raises
+    ------
+    ScanstageError
+        The result has no voxels.
     """
-    home, made = results_collection(scene), []
-    table, staged = _staged(scene)
-    if staged is None:
-        staged = add_polygon_mesh("Compared Truth", truth.vertices, truth.triangles, collection=home, frame=table)
-        made.append(staged)
-    rgb = result.colors and result.colors.rgb
-    made.append(add_voxel_mesh("Compared Result", result.surface, rgb, collection=home, grid=result.volume.grid, frame=table))
-    bpy.context.view_layer.update()
-    limit = max(float(np.percentile(np.abs(errors), _SHARE_IN_RANGE)), result.volume.grid.voxel_size)
-    try:
-        row = add_comparison(staged, made[-1], errors, _rounded(limit), scene=scene, signed=True)
-    finally:
-        for model in made:
-            remove_result(model.name)
+    _refuse_empty(result)
+    with frame_kept(scene):
+        row = _compared(scene, result, truth, errors)
+    home = results_collection(scene)
     scene.collection.children.unlink(row)
     home.children.link(row)
     size = max(max(member.dimensions) for member in row.objects)
@@ -96,13 +102,52 @@ def show_comparison(scene: bpy.types.Scene, result: Result, truth: TriangleMesh,
     return row
 
 
+def _compared(scene: bpy.types.Scene, result: Result, truth: TriangleMesh, errors: np.ndarray) -> bpy.types.Collection:
+    """Return the row, linked to the scene and in its middle; leaves the scene at the first frame."""
+    home, made = results_collection(scene), []
+    table, staged = _staged(scene)
+    if staged is None or not _is_truth(scene, truth):
+        staged = add_polygon_mesh("Compared Truth", truth.vertices, truth.triangles, collection=home, frame=table)
+        made.append(staged)
+    made.append(add_voxel_mesh("Compared Result", result.surface, result.colors and result.colors.rgb, collection=home,
+                               grid=result.volume.grid, frame=table, method=_method(result)))
+    bpy.context.view_layer.update()
+    limit = max(float(np.percentile(np.abs(errors), _SHARE_IN_RANGE)), result.volume.grid.voxel_size)
+    try:
+        return add_comparison(staged, made[-1], errors, _rounded(limit), scene=scene, signed=True)
+    finally:
+        for model in made:
+            remove_result(model.name)
+
+
 def _staged(scene: bpy.types.Scene) -> tuple[np.ndarray, bpy.types.Object | None]:
-    """Return where the turntable stands at angle 0, and the object on it where that is a single mesh."""
+    """Return where the turntable stands at angle 0, and the object on it where that is a single mesh.
+
+    Leaves the scene at the first frame.
+    """
     if find_stage(scene) is None:
         return np.eye(4), None
     scene.frame_set(scene.frame_start)
     meshes = [member for member in staged_objects(scene) if member.type == 'MESH']
     return np.array(turntable_of(scene).matrix_world), meshes[0] if len(meshes) == 1 else None
+
+
+def _is_truth(scene: bpy.types.Scene, truth: TriangleMesh) -> bool:
+    """Return whether what stands on the turntable is the true object, and not what was staged after it."""
+    try:
+        vertices = truth_mesh(scene)[0]
+    except ScanstageError:  # it is no longer rendered
+        return False
+    return vertices.shape == truth.vertices.shape and np.allclose(vertices, truth.vertices, atol=_SAME * np.ptp(vertices))
+
+
+def _method(result: Result) -> str:
+    return str(result.report.get("method", ""))
+
+
+def _refuse_empty(result: Result) -> None:
+    if not len(result.surface.quads):
+        raise ScanstageError(f"{result.folder}: the result has no voxels to show; check its bounds and the silhouettes")
 
 
 def _rounded(value: float) -> float:

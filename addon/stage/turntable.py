@@ -40,7 +40,7 @@ OPTIONS = (
         "blue": "a blue screen and platter, for chroma keying",
         "black": "a black screen and platter"}),
     Option("plate", True, "With a backdrop, also capture it without the object"),
-    Option("samples", 1, "Per pixel; one shows each pixel's centre exactly, more blend the object's edge",
+    Option("samples", 1, "Per pixel, all through its centre; one is free of noise, more only help materials that scatter light",
            minimum=1, maximum=4096),
     Option("fit", 0.0, "Scale a built-in object or file so that its largest dimension is this; 0 keeps its own units",
            unit=Unit.LENGTH, minimum=0.0, maximum=1e6),

@@ -2,13 +2,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The preview shows the object: whole, in the middle, in its colours, lit from the upper left, on a soft backdrop."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from addon.reconstruction.geometry import VoxelGrid
-from addon.reconstruction.preview import render_preview
+from addon.reconstruction.geometry import VoxelGrid, rotation_about
+from addon.reconstruction.preview import render_preview, upward
 from addon.reconstruction.volumetric.surface import extract_surface
 from addon.reconstruction.volumetric.volume import SparseVolume
+from tests.rigs import ring
 
 SIZE = (240, 180)
 
@@ -91,3 +94,16 @@ def test_of_nothing_there_is_only_the_backdrop():
     picture = render_preview(surface, grid, np.zeros((0, 3), np.float32), size=(61, 47)).astype(int)
     assert picture.shape == (47, 61, 3)
     assert np.abs(np.diff(picture, axis=0)).max() <= 4 and np.abs(np.diff(picture, axis=1)).max() <= 4
+
+
+def test_the_cameras_tell_what_is_up():
+    """A rig turned so that the object stands along -y: its cameras say so, and the picture is that of the upright one."""
+    upright = ring(8)
+    turn = np.eye(4)
+    turn[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # the upright z is the object's -y
+    lying = [camera.moved(np.linalg.inv(turn)) for camera in upright]
+    assert np.array_equal(upward(upright), [0, 0, 1])
+    assert np.array_equal(upward(lying), turn[:3, :3] @ [0, 0, 1])
+    on_its_side = [replace(camera, R=rotation_about((0, 0, 1), 1.6) @ camera.R) for camera in upright]
+    assert np.array_equal(upward(on_its_side), [0, 0, 1])
+    assert np.array_equal(upward(upright[:1]), [0, 0, 1])

@@ -113,10 +113,7 @@ def _carve_part(tests: Sequence[SilhouetteTest], grid: VoxelGrid, cells: np.ndar
     missed = np.zeros((tolerance + 1, cells.shape[1]), np.uint8)
     counts, kept = Counts(alone=np.zeros(len(tests), int)), []
     while True:
-        missed[tolerance] |= _beyond(cells, size, grid)
-        centres = (2 * cells + 2 * size).astype(np.float64)
-        doubts = [_test_view(test, centres, size, rows, missed, counts, alone=view if size == root_size(grid) else None)
-                  for view, (test, rows) in enumerate(zip(tests, pairs, strict=True))]
+        doubts = _test_children(tests, grid, cells, size, pairs, missed, counts)
         alive = ~missed[tolerance]
         mixed = np.zeros(len(alive), np.uint8)
         for rows, doubt in doubts:
@@ -130,28 +127,32 @@ def _carve_part(tests: Sequence[SilhouetteTest], grid: VoxelGrid, cells: np.ndar
         size //= 2
 
 
-def _test_view(test: SilhouetteTest, centres: np.ndarray, size: int, rows: np.ndarray, missed: np.ndarray, counts: Counts,
-               alone: int | None) -> tuple[np.ndarray, np.ndarray]:
-    """Show one view the children of the cells it could not decide; count its misses in ``missed``.
+def _test_children(tests: Sequence[SilhouetteTest], grid: VoxelGrid, cells: np.ndarray, size: int, pairs: list[np.ndarray],
+                   missed: np.ndarray, counts: Counts) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Show every view the children of the cells it could not decide; count their misses in ``missed``.
 
     Returns
     -------
-    rows : (n,) intp array
-        The cells that were tested: those that earlier views had not emptied.
-    doubt : (n,) uint8 array
-        The children that this view cannot decide, as bits.
+    list of (rows, bytes)
+        For every view the cells it was shown, and which of their children it cannot decide.
     """
-    if alone is None:
-        rows = rows[missed[-1][rows] != _ALL]
-    codes = test.classify_children(centres.take(rows, axis=1), size)
-    counts.tests += codes.size
-    outside = _pack(codes == OUTSIDE)
-    if alone is not None:
-        counts.alone[alone] = np.unpackbits(~outside).sum()
-    for plane in range(len(missed) - 1, 0, -1):
-        missed[plane][rows] |= missed[plane - 1][rows] & outside
-    missed[0][rows] |= outside
-    return rows, _pack(codes == MIXED) if size > 1 else np.zeros(len(rows), np.uint8)
+    beyond = _beyond(cells, size, grid)
+    missed[-1] |= beyond
+    centres = (2 * cells + 2 * size).astype(np.float64)
+    first, doubts = size == root_size(grid), []
+    for view, (test, rows) in enumerate(zip(tests, pairs, strict=True)):
+        if not first:
+            rows = rows[missed[-1][rows] != _ALL]  # earlier views may have emptied a cell
+        codes = test.classify_children(centres.take(rows, axis=1), size)
+        counts.tests += codes.size
+        outside = _pack(codes == OUTSIDE)
+        if first:
+            counts.alone[view] = np.unpackbits(~(outside | beyond)).sum()
+        for plane in range(len(missed) - 1, 0, -1):
+            missed[plane][rows] |= missed[plane - 1][rows] & outside
+        missed[0][rows] |= outside
+        doubts.append((rows, _pack(codes == MIXED) if size > 1 else np.zeros(len(rows), np.uint8)))
+    return doubts
 
 
 def _split(cells: np.ndarray, size: int, split: np.ndarray, doubts, missed: np.ndarray):

@@ -33,6 +33,7 @@ OPTIONS = (
         "empty": "background, so that a part of the object that leaves a picture is removed"}),
 )
 
+SURELY_SAMPLED = 1.42  # px; a voxel this wide holds a pixel's centre, so no sampled silhouette can miss it
 _LARGEST_SKEW = 0.01  # of the focal length; real sensors have none
 _LARGEST_ASPECT = 0.05  # deviation of fy / fx from the views' common one
 
@@ -103,7 +104,7 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
     _refuse_empty(volume, counts, names)
     dense = grid.count * len(tests)
     return volume, {"tests": counts.tests, "tests_dense": dense, "tests_share": counts.tests / dense,
-                    "warnings": _warnings(scan)}
+                    "warnings": _warnings(scan) + (_undersampled(scan, grid) if rule == "conservative" else [])}
 
 
 def _refuse_empty(volume: SparseVolume, counts: Counts, names: Sequence[str]) -> None:
@@ -137,6 +138,21 @@ def _warnings(scan: Scan) -> list[str]:
         found.append(f"the object leaves the picture in {len(cut)} of {len(cameras)} views (first: {cut[0]}): nothing is "
                      "removed beyond the border")
     return found
+
+
+def _undersampled(scan: Scan, grid: VoxelGrid) -> list[str]:
+    """Return a warning if the pictures are too coarse for the voxels: the limit of what the conservative rule can promise."""
+    middle = (grid.origin + grid.upper) / 2
+    pixels = {}
+    for view in scan.views:
+        depth = view.camera.project(middle)[1]
+        if depth > 0:
+            pixels[view.name] = min(view.camera.K[0, 0], view.camera.K[1, 1]) * grid.voxel_size / float(depth)
+    if not pixels or min(pixels.values()) >= SURELY_SAMPLED:
+        return []
+    worst = min(pixels, key=pixels.get)
+    return [f"a voxel spans {pixels[worst]:.1f} pixels in frame {worst}: parts of the object thinner than {SURELY_SAMPLED} pixels may "
+            "be lost; use fewer voxels or larger pictures if there are any"]
 
 
 def _touches_border(mask: np.ndarray) -> bool:

@@ -198,6 +198,13 @@ def test_warns_of_cut_objects():
     assert "leaves the picture in 1 of 6 views (first: 0000)" in warnings_for(views_of(close, shapes))
 
 
+def test_warns_when_pictures_are_too_coarse_for_the_voxels():
+    shapes = [Ball((0, 0, 0), 0.5)]
+    fine = VoxelGrid.from_bounds((-1, -1, -1), (1, 1, 1), 200)  # 450 px at 4 m: 1.1 px a voxel
+    assert "a voxel spans 1.1 pixels in frame 0000" in warnings_for(views_of(ring(6), shapes), fine)
+    assert visual_hull(Scan(tuple(views_of(ring(6), shapes))), fine, rule="center")[1]["warnings"] == []
+
+
 def test_report_counts_the_work():
     report = visual_hull(Scan(tuple(views_of(ring(6), [Ball((0, 0, 0), 0.5)]))), CUBE)[1]
     assert report["tests_dense"] == 48 ** 3 * 6
