@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fixtures that several folders share. bpy is imported only by the tests that ask for a scene."""
 
+import os
+import sys
+
 import pytest
 
 
@@ -12,3 +15,21 @@ def empty_scene():
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene
+
+
+_status = 0
+
+
+def pytest_sessionfinish(session, exitstatus):
+    """Remember how the tests ended."""
+    global _status
+    _status = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """End here: the bpy wheel of Blender 4.5 sometimes hangs when the interpreter takes its modules down."""
+    if "bpy" in sys.modules:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(_status)

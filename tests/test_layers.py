@@ -17,7 +17,7 @@ WITHOUT_BLENDER = ("reconstruction", "captures")
 BLENDER = {"bpy", "bmesh", "mathutils", "bpy_extras", "gpu"}
 # Stations of the data and their tools: the later may import the earlier, and only the faces import the faces.
 MAY_IMPORT = {"reconstruction": {"reconstruction", "errors", "options", "progress", "memory"},
-              "captures": {"captures", "reconstruction", "errors", "options", "progress"}}
+              "captures": {"captures", "reconstruction", "errors", "files", "options", "progress"}}
 
 
 def imports_of(name: str) -> set[str]:

@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
 from pathlib import Path
 
 from ..errors import ScanstageError
+from ..files import replacing
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -19,20 +18,12 @@ def write_bytes(path: Path, data: bytes) -> None:
     ScanstageError
         The disk refuses.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())  # a rename may reach the disk before the data does
-        os.replace(temporary, path)
     except OSError as error:
-        raise ScanstageError(f"{path.name}: cannot be written ({error.strerror}); "
-                             f"check the disk space and the rights of {path.parent}") from None
-    finally:
-        with suppress(OSError):  # it is not there, or what is wrong has been said
-            temporary.unlink()
+        raise ScanstageError(f"{path}: cannot be written, for its folder cannot be made ({error.strerror}); check the path") from None
+    with replacing(path) as file:
+        file.write(data)
 
 
 def read_bytes(path: Path, most: int, name: str | None = None) -> bytes:

@@ -17,7 +17,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from ..options import Value
-from ..reconstruction.geometry import MAX_SKEW_OF_ROTATION, Camera
+from ..reconstruction.geometry import MAX_SKEW_OF_ROTATION, Camera, Light
 from .fields import MAX_NUMBER, Field
 
 FORMAT, VERSION = "scanstage-capture", 1
@@ -26,28 +26,6 @@ ENCODINGS = ("linear", "srgb")
 LIGHT_KINDS = ("point", "sun", "spot")
 MAX_SIDE, MAX_PIXELS = 1 << 16, 1 << 28
 FRAME_ID = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}")  # it becomes a file's name, on every system
-
-
-@dataclass(frozen=True)
-class Light:
-    """A light of the rig, in the world.
-
-    Parameters
-    ----------
-    kind : str
-        ``point``, ``sun`` or ``spot``.
-    position : (3,) array, optional
-        Of a point or spot light.
-    direction : (3,) array, optional
-        Unit vector along which a sun or spot light shines.
-    radius : float
-        Of the luminous sphere, in the scene's unit; 0 casts hard shadows.
-    """
-
-    kind: str
-    position: np.ndarray | None = None
-    direction: np.ndarray | None = None
-    radius: float = 0.0
 
 
 @dataclass(frozen=True)

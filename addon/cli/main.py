@@ -16,8 +16,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ..errors import Cancelled, ScanstageError
-from ..results.files import replacing
-from .progress_bar import ProgressBar
+from ..files import replacing
+from .progress_bar import ProgressBar, muted_stdout
 from .verbs import VERBS
 
 DONE, BAD_INPUT, INTERRUPTED = 0, 1, 130
@@ -47,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if call.report:
             check_report(call.report)
-        report = call.run(call, bar)
+        with muted_stdout():  # from the first import of Blender on
+            report = call.run(call, bar)
         lines = report.pop("lines", ())
         if call.report:
             write_report(call.report, report)

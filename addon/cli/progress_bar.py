@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, redirect_stdout
 
 from ..progress import Progress
 
@@ -61,14 +61,16 @@ def drain(steps: Generator[tuple[float, str], None, None], progress: Progress) -
 
 @contextmanager
 def muted_stdout() -> Iterator[None]:
-    """Keep what Blender's own C code prints (a line per rendered frame) out of stdout, which is for results."""
+    """Keep what Blender prints (a line per rendered frame) out of stdout, which is for results.
+
+    Its Python writes to `sys.stdout`, its C code to the file descriptor.
+    """
     sys.stdout.flush()
-    kept, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(sink, 1)
+    kept = os.dup(1)
     try:
-        yield
+        with open(os.devnull, "w") as sink, redirect_stdout(sink):
+            os.dup2(sink.fileno(), 1)
+            yield
     finally:
-        sys.stdout.flush()
         os.dup2(kept, 1)
         os.close(kept)
-        os.close(sink)

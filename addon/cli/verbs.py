@@ -21,7 +21,7 @@ from ..options import Option
 from ..progress import Progress
 from ..reconstruction.methods import DEFAULT_VOXELS, METHODS
 from ..workflow import evaluate_result, reconstruct, reconstruct_options
-from .progress_bar import drain, muted_stdout
+from .progress_bar import drain
 from .text import measure_lines, option_lines, reconstruction_lines
 
 DEFAULT_OBJECT = "dented-sphere"
@@ -47,8 +47,7 @@ def _demo_arguments(parser: argparse.ArgumentParser) -> None:
 def _demo(call: argparse.Namespace, progress: Progress) -> dict:
     from .demo import run_demo
 
-    with muted_stdout():
-        return run_demo(call.out, dict(call.settings), progress)
+    return run_demo(call.out, dict(call.settings), progress)
 
 
 def _stage_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,12 +64,11 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     from ..stage.readback import plan_of
     from ..stage.staging import build
 
-    with muted_stdout():
-        new_file()
-        progress(0.1, "Building the stage")
-        build(bpy.context.scene, call.preset, call.object, dict(call.settings))
-        plan = plan_of(bpy.context.scene)
-        save_blend(call.out)
+    new_file()
+    progress(0.1, "Building the stage")
+    build(bpy.context.scene, call.preset, call.object, dict(call.settings))
+    plan = plan_of(bpy.context.scene)
+    save_blend(call.out)
     return {"file": str(call.out), "frames": len(plan.frames), "cameras": len(plan.cameras),
             "lines": [f"{call.out}: {call.preset}, {len(plan.frames)} frames, {len(plan.cameras)} camera(s)"]}
 
@@ -89,12 +87,11 @@ def _capture(call: argparse.Namespace, progress: Progress) -> dict:
     from ..stage.ownership import find_stage
 
     _no_settings(call, "capture")
-    with muted_stdout():
-        open_blend(call.file)
-        if find_stage(bpy.context.scene) is None:
-            raise ScanstageError(f"{call.file}: scene {bpy.context.scene.name!r} has no stage; make a file with "
-                                 f"`scanstage stage PRESET --out {call.file}`")
-        drain(capture_frames(bpy.context.scene, call.out), progress)
+    open_blend(call.file)
+    if find_stage(bpy.context.scene) is None:
+        raise ScanstageError(f"{call.file}: scene {bpy.context.scene.name!r} has no stage; make a file with "
+                             f"`scanstage stage PRESET --out {call.file}`")
+    drain(capture_frames(bpy.context.scene, call.out), progress)
     frames = len(read_capture(call.out).frames)
     return {"capture": str(call.out), "frames": frames, "lines": [f"{call.out}: {frames} frames, all whole"]}
 
@@ -135,8 +132,7 @@ def _evaluate_arguments(parser: argparse.ArgumentParser) -> None:
 def _evaluate(call: argparse.Namespace, progress: Progress) -> dict:
     from ..results.meshes import read_mesh
 
-    with muted_stdout():
-        truth = read_mesh(call.truth) if call.truth else None
+    truth = read_mesh(call.truth) if call.truth else None
     measures = evaluate_result(call.result, truth, options=dict(call.settings), progress=progress)
     return {**measures, "lines": measure_lines(measures)}
 
@@ -147,12 +143,10 @@ def _mesh_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _mesh(call: argparse.Namespace, progress: Progress) -> dict:
-    from ..results.export import EXPORT_OPTIONS, export_result
+    from ..results.export import export_result
 
-    with muted_stdout():
-        faces = export_result(call.result, call.out, dict(call.settings), progress)
-    return {"file": str(call.out), "faces": faces, "options": [option.name for option in EXPORT_OPTIONS],
-            "lines": [f"{call.out}: {faces} faces"]}
+    faces = export_result(call.result, call.out, dict(call.settings), progress)
+    return {"file": str(call.out), "faces": faces, "lines": [f"{call.out}: {faces} faces"]}
 
 
 def _methods(call: argparse.Namespace, progress: Progress) -> dict:

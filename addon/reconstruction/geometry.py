@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras (and projectors, which are cameras run backwards), rigid motions and voxel grids."""
+"""Cameras (and projectors, which are cameras run backwards), lights, rigid motions and voxel grids."""
 
 from __future__ import annotations
 
@@ -178,6 +178,27 @@ class Camera:
         edge = np.array([[factor, 0, (factor - 1) / 2], [0, factor, (factor - 1) / 2], [0, 0, 1]])
         width, height = (max(1, int(np.ceil(n * factor - 1e-9))) for n in self.size)
         return replace(self, K=edge @ self.K, size=(width, height))
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light of a rig, in the world.
+
+    Parameters
+    ----------
+    kind : {'point', 'sun', 'spot'}
+    position : (3,) array, optional
+        Of a point or spot light.
+    direction : (3,) array, optional
+        Unit vector along which a sun or spot light shines.
+    radius : float
+        Of the luminous sphere, in the scene's unit; 0 casts hard shadows.
+    """
+
+    kind: str
+    position: np.ndarray | None = None
+    direction: np.ndarray | None = None
+    radius: float = 0.0
 
 
 def distort(points, distortion) -> np.ndarray:

@@ -141,24 +141,30 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     with watch.step("colour"):
         colors = color_surface(surface, grid, scan.views, part_of(progress, 0.55, 0.85))
     with watch.step("re-projection"):
-        ious = {}
-        for index, view in enumerate(scan.views):
-            progress(0.85 + 0.15 * index / len(scan.views), "Comparing with the silhouettes")
-            if view.mask is not None:
-                ious[view.name] = round(reprojection_iou(surface, grid, view), 4)
-    progress(1.0, "Reconstructed")
+        ious = _silhouette_ious(surface, grid, scan, part_of(progress, 0.85, 1.0))
     warnings = found.pop("warnings")
     if bounds is not None or scan.bounds is not None:
         warnings += _clipped(volume)
+    counts = {"views": len(scan.views), "occupied": volume.count(), "surface": len(surface.voxels), "quads": len(surface.quads),
+              "unseen": int(np.count_nonzero(colors.views == 0)), "tests": found.pop("tests"), "tests_dense": found.pop("tests_dense")}
     report = {
-        "method": method, "options": values, "voxels": voxels,
+        "method": method, "options": values, "voxels": voxels, "counts": counts,
         "grid": {"origin": grid.origin.tolist(), "voxel_size": grid.voxel_size, "shape": list(grid.shape)},
-        "counts": {"views": len(scan.views), "occupied": volume.count(), "surface": len(surface.voxels), "quads": len(surface.quads),
-                   "unseen": int(np.count_nonzero(colors.views == 0)), "tests": found.pop("tests"), "tests_dense": found.pop("tests_dense")},
         "silhouette_iou": {"mean": round(float(np.mean(list(ious.values()))), 4) if ious else None, "views": ious},
         "seconds": watch.seconds, "peak_memory": peak_memory(), "warnings": warnings, **found,
     }
     return Reconstruction(volume, surface, colors, report)
+
+
+def _silhouette_ious(surface: Surface, grid: VoxelGrid, scan: Scan, progress: Progress) -> dict[str, float]:
+    """Return how well the result, projected back, covers each view's silhouette."""
+    ious = {}
+    for index, view in enumerate(scan.views):
+        progress(index / len(scan.views), "Comparing with the silhouettes")
+        if view.mask is not None:
+            ious[view.name] = round(reprojection_iou(surface, grid, view), 4)
+    progress(1.0, "Reconstructed")
+    return ious
 
 
 def check_call(method: str, *, voxels: int = DEFAULT_VOXELS, bounds: np.ndarray | None = None,

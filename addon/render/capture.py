@@ -17,7 +17,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..captures.schema import Capture, Frame, Light
+from ..captures.schema import Capture, Frame
 from ..captures.store import is_capture, picture_is_whole, read_capture, write_capture
 from ..errors import ScanstageError
 from ..results.ply import read_ply, write_ply
@@ -78,8 +78,7 @@ def _capture(scene: bpy.types.Scene, plan: CapturePlan) -> Capture:
     with_plates = options.get("plate", False) and options.get("backdrop", "none") != "none"
     return Capture(
         cameras=plan.cameras,
-        lights={id: Light(light.kind, light.position, light.direction, light.radius)
-                for id, light in plan.lights.items()},
+        lights=plan.lights,
         frames=tuple(Frame(frame.id, f"images/{frame.id}.png", frame.camera, frame.object_to_world, frame.lights)
                      for frame in plan.frames),
         encoding="linear",

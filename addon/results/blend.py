@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 from ..errors import ScanstageError
-from .files import sibling
+from ..files import sibling
 
 
 def new_file() -> None:

@@ -147,6 +147,8 @@ def _own_scene(name: str) -> Iterator[bpy.types.Scene]:
 
 def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
     """Let ``write`` make the file, and what belongs to it, in a hidden folder beside ``path``; then move all there."""
+    if path.is_dir():  # told before the parts are moved
+        raise ScanstageError(f"{path}: cannot be written, for it is a folder; give another name")
     try:
         with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
             temporary = Path(folder, path.name).with_suffix(path.suffix.lower())

@@ -25,12 +25,12 @@ import cv2
 import numpy as np
 
 from ..errors import ScanstageError
+from ..files import replacing, sibling
 from ..reconstruction.color import linear_to_srgb
 from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.volumetric.coloring import SurfaceColors
 from ..reconstruction.volumetric.surface import Surface, extract_surface
 from ..reconstruction.volumetric.volume import SparseVolume
-from .files import replacing, sibling
 from .npz import AGAIN, check_size, open_volume, write_volume
 from .ply import write_ply
 

@@ -21,9 +21,9 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import ScanstageError
+from ..files import replacing
 from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.volumetric.volume import BRICK, SparseVolume
-from .files import replacing
 
 MAX_SIDE = 1 << 14
 MAX_LAYER = 1 << 24  # voxels with the same x: a slab of 8 such layers is 128 MiB

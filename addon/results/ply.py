@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ScanstageError
+from ..files import replacing
 from ..reconstruction.mesh import TriangleMesh
-from .files import replacing
 
 MAX_HEADER = 64 * 1024
 BLOCK = 1 << 16

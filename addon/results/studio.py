@@ -22,7 +22,7 @@ from mathutils import Matrix
 
 from ..compat import node_tree
 from ..errors import ScanstageError
-from .files import replacing
+from ..files import replacing
 from .objects import mesh_from_arrays
 
 # From the front, a little from the right and from above.

@@ -18,8 +18,8 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
+from ..files import replacing
 from ..reconstruction.color import linear_to_srgb
-from .files import replacing
 
 VERSION = 150
 TILE = 256

@@ -15,34 +15,13 @@ import bpy
 import numpy as np
 
 from ..errors import ScanstageError
-from ..reconstruction.geometry import Camera
+from ..reconstruction.geometry import Camera, Light
 from . import ownership
 from .evaluated import render_mesh
 from .timeline import light_is_on
 
 _TO_OPENCV = np.diag((1.0, -1.0, -1.0))  # Blender's cameras look along -z with y up
 _LIGHT_KINDS = {"POINT": "point", "SUN": "sun", "SPOT": "spot"}
-
-
-@dataclass(frozen=True)
-class Light:
-    """A light as it stands in the world.
-
-    Parameters
-    ----------
-    kind : str
-        ``point``, ``sun`` or ``spot``.
-    position : (3,) array
-    direction : (3,) array
-        Unit vector along which it shines.
-    radius : float
-        Of the luminous sphere, in metres; 0 for a sun.
-    """
-
-    kind: str
-    position: np.ndarray
-    direction: np.ndarray
-    radius: float
 
 
 @dataclass(frozen=True)

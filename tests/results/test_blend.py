@@ -60,7 +60,7 @@ def test_paths_are_relative_to_the_file(tmp_path):
     picture = bpy.data.images.new("Picture", 4, 4)
     picture.filepath_raw, picture.file_format = str(tmp_path / "picture.png"), 'PNG'
     picture.save()
-    (tmp_path / "empty.blend").touch()
+    picture.use_fake_user = True
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "first.blend"))  # Blender knows relative paths from here on
     bpy.ops.file.make_paths_relative()
     save_blend(tmp_path / "sub" / "scene.blend")

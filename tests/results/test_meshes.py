@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A truth from any mesh file: the same triangles from every format, where the file says they are, and nothing left behind."""
 
+import sys
+
 import bpy
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from addon.results.meshes import read_mesh
 from addon.results.ply import write_ply
 from tests.rigs import Ball, sphere_mesh
 
-pytestmark = pytest.mark.usefixtures("empty_scene")
+pytestmark = [pytest.mark.usefixtures("empty_scene"),
+              # Blender 5.2's .fbx exporter, which only these tests use, with a numpy newer than its own
+              pytest.mark.filterwarnings("ignore:Setting the shape on a NumPy array:DeprecationWarning")]
 
 MESH = sphere_mesh(Ball((0.3, -0.2, 0.5), 0.4), 8)
 EXPORTERS = {
@@ -94,7 +98,7 @@ def test_several_objects_are_one_mesh_and_what_has_no_surface_is_ignored(tmp_pat
     found = read_mesh(tmp_path / f"truth{ending}")
     assert len(found.triangles) == 2 * len(MESH.triangles)
     assert found.volume() == pytest.approx(2 * MESH.volume(), rel=1e-5)
-    assert not inventory() or "Lamp" not in bpy.data.lights
+    assert "Lamp" not in bpy.data.lights
 
 
 def test_modifiers_count_as_they_do_where_the_object_is_staged(tmp_path):
@@ -105,7 +109,7 @@ def test_modifiers_count_as_they_do_where_the_object_is_staged(tmp_path):
 
 def test_a_ply_needs_no_blender(tmp_path, monkeypatch):
     write_ply(tmp_path / "TRUTH.PLY", MESH.vertices, MESH.triangles, double=True)
-    monkeypatch.setitem(__import__("sys").modules, "bpy", None)
+    monkeypatch.setitem(sys.modules, "bpy", None)
     np.testing.assert_array_equal(read_mesh(tmp_path / "TRUTH.PLY").vertices, MESH.vertices)
 
 
@@ -114,9 +118,8 @@ def test_a_ply_needs_no_blender(tmp_path, monkeypatch):
     ("truth", b"", "unknown ending"), ("bad.ply", b"garbage", "it is not a PLY file"),
     ("points.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n",
      "holds no mesh"),
-    ("bad.obj", b"garbage", "holds no mesh"), ("bad.stl", b"garbage", "holds no mesh"), ("bad.glb", b"garbage", "cannot be read"),
+    ("bad.obj", b"garbage", "holds no mesh"), ("bad.stl", b"garbage", "cannot be read"), ("bad.glb", b"garbage", "cannot be read"),
     ("bad.fbx", b"garbage", "cannot be read"), ("bad.blend", b"garbage", "cannot be read"),
-    ("nan.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "cannot be read|holds no mesh"),
 ])
 def test_a_bad_file_is_named_in_one_sentence_and_leaves_nothing(tmp_path, name, content, message):
     if content is not None:
@@ -126,3 +129,14 @@ def test_a_bad_file_is_named_in_one_sentence_and_leaves_nothing(tmp_path, name, 
         read_mesh(tmp_path / name)
     assert "\n" not in str(caught.value)
     assert inventory() == before
+
+
+@pytest.mark.parametrize("ending", [".ply", ".blend"])
+def test_a_coordinate_that_is_not_finite_is_refused(tmp_path, ending):
+    """Blender's importers make zeros of them in text; in these two formats they come through."""
+    add("Truth", MESH).data.vertices[3].co.x = float("nan")
+    EXPORTERS[ending](str(tmp_path / f"truth{ending}"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with pytest.raises(ScanstageError, match=f"truth{ending}: .*finite"):
+        read_mesh(tmp_path / f"truth{ending}")
+    assert not bpy.data.objects

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from ..errors import ScanstageError
+from .errors import ScanstageError
 
 
 def sibling(path: Path) -> Path:
@@ -37,7 +37,8 @@ def replacing(path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())  # a rename may reach the disk before the data does
         os.replace(temporary, path)
     except OSError as error:
-        raise ScanstageError(f"{path}: cannot be written ({error.strerror})") from None
+        raise ScanstageError(f"{path}: cannot be written ({error.strerror}); check the disk space and the rights of "
+                             f"{path.parent}") from None
     finally:
         with suppress(OSError):  # it is not there, or what is wrong has been said
             temporary.unlink()
