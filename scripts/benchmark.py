@@ -31,12 +31,13 @@ def main():
     parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "all"], default="all")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--alone", metavar="N", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--dense", action="store_true", help=argparse.SUPPRESS)
     call = parser.parse_args()
     if importlib.util.find_spec("cv2") is None or importlib.util.find_spec("skimage") is None:
         return run_in_environment()
     load_addon()
     if call.alone:
-        return print_sparse(call.alone)
+        return print_alone(call.alone, dense=call.dense)
     if call.kernel in ("carve", "all"):
         compare_carving(call.runs)
     if call.kernel in ("mesh", "all"):
@@ -127,18 +128,19 @@ def compare_carving(runs):
     for voxels in (256, 512):
         brute = brute_force_seconds(cameras, masks, box(voxels), max(1, runs // 2))
         row(f"compiled brute force with early exit, {voxels}^3, to center", brute, ours["center", voxels])
-    print("\nSparse result, each in a process of its own")
-    for voxels in (512, 1024, 2048):
-        subprocess.call([sys.executable, __file__, "--alone", str(voxels)])
+    print("\nTime and memory of a process of its own")
+    for arguments in (["512", "--dense"], ["512"], ["1024"], ["2048"]):
+        subprocess.call([sys.executable, __file__, "--alone", *arguments])
     print()
 
 
-def print_sparse(voxels):
+def print_alone(voxels, *, dense):
     """Carve once to warm up at a small size, then at full size: time and the process's peak memory."""
     cameras, masks = scene()
     carve_ours(cameras, masks, box(64), "center")
-    seconds, volume = median_seconds(lambda: carve_ours(cameras, masks, box(voxels), "center"), 2)
-    print(f"{f'Scanstage, center, {voxels}^3, {volume.count():,} voxels':58} {seconds:7.3f}    {own_peak()}", flush=True)
+    seconds, _ = median_seconds(lambda: carve_ours(cameras, masks, box(voxels), "center", dense=dense), 2)
+    kind = "dense" if dense else "sparse"
+    print(f"{f'Scanstage, center, {voxels}^3, {kind} result':58} {seconds:7.3f}    {own_peak()}", flush=True)
     return 0
 
 
