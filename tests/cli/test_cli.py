@@ -338,7 +338,10 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
 
 
 def test_nothing_that_blender_prints_reaches_stdout(capture, tmp_path, monkeypatch):
-    """Into a pipe C's own printing is buffered, and could come out long after the verb; with OCIO set, Blender prints at once."""
+    """Into a pipe C's own printing is buffered, and could come out long after the verb; with OCIO set, Blender prints at once.
+
+    What Blender itself says on stderr (that a bare system has no list of file systems, say) is its own affair.
+    """
     import bpy
 
     monkeypatch.setenv("OCIO", str(Path(bpy.utils.resource_path('LOCAL')) / "datafiles" / "colormanagement" / "config.ocio"))
@@ -346,9 +349,9 @@ def test_nothing_that_blender_prints_reaches_stdout(capture, tmp_path, monkeypat
     truth.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     assert finished(started("reconstruct", capture, "visual-hull", "--out", result, "--voxels", 12, "--quiet"))[::2] == (0, "")
     status, out, error = finished(started("evaluate", result, "--truth", truth, "--set", "samples=200", "--quiet"))
-    assert (status, error) == (0, "") and all(line.startswith(("  volume.", "  surface.")) for line in out.splitlines())
+    assert status == 0 and "scanstage" not in error and all(line.startswith(("  volume.", "  surface.")) for line in out.splitlines())
     status, out, error = finished(started("mesh", result, "--out", tmp_path / "ball.obj", "--quiet"))
-    assert (status, error) == (0, "") and out.startswith(f"{tmp_path / 'ball.obj'}: ") and out.count("\n") == 1
+    assert status == 0 and "scanstage" not in error and out.startswith(f"{tmp_path / 'ball.obj'}: ") and out.count("\n") == 1
 
 
 @POSIX
