@@ -71,7 +71,8 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": silhouette}
     up = upward([view.camera for view in scan.views])
     preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
-    write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview)
+    write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview,
+                 layers=found.layers, pictures=found.pictures)
     progress(1.0, "Result written")
     return report
 

@@ -64,7 +64,7 @@ def test_a_capture_becomes_a_result_folder(capture, result):
     out, report = result
     assert sorted(path.name for path in out.iterdir()) == FILES
     written = json.loads((out / "result.json").read_text())
-    assert written == {**report, "format": "scanstage-result", "version": 1}
+    assert written == {**report, "format": "scanstage-result", "version": 1, "layers": {}}
     assert written["capture"] == str(capture.resolve()) and written["method"] == "visual-hull" and written["voxels"] == VOXELS
     assert written["silhouette"] == {} and written["counts"]["views"] == len(CAMERAS)
     found = read_result(out)

@@ -8,7 +8,7 @@ The one place where a rig's poses and the turntable's become cameras in the obje
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import ScanstageError
 from ..options import Value, resolve
 from ..progress import Progress, silent
-from ..reconstruction.scan import Scan, View
+from ..reconstruction.scan import LitPicture, Scan, View
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS, extract
 from .files import inside
 from .pictures import read_mask, read_picture, write_mask
@@ -32,7 +32,8 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
 
     Each silhouette is also written to ``masks/<frame id>.png`` in the set, to be looked at, unless the set cannot be
     written to or already names a file of its own so. Frames under a projected pattern are left out: what
-    is projected changes the silhouette's look, and they share their pose with a frame that has none.
+    is projected changes the silhouette's look, and they share their pose with a frame that has none. Frames of one camera
+    and pose under different lights are one view (see `lighting_groups`).
 
     Parameters
     ----------
@@ -61,24 +62,41 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
         raise ScanstageError(f"{FILE_NAME}: frames: a pattern is projected in every frame; "
                              "capture at least one frame without a pattern")
     options = resolve(SILHOUETTE_OPTIONS, {**capture.silhouette, **(silhouette_options or {})}, "silhouette")
-    views = []
-    for index, frame in enumerate(frames):
-        progress(index / len(frames), f"Silhouette {index + 1} of {len(frames)}")
-        views.append(_view(folder, capture, frame, options))
-    progress(1.0, f"{len(frames)} silhouettes")
+    views, groups = [], lighting_groups(frames)
+    for index, group in enumerate(groups):
+        progress(index / len(groups), f"Silhouette {index + 1} of {len(groups)}")
+        views.append(_view(folder, capture, group, options))
+    progress(1.0, f"{len(views)} silhouettes")
     return Scan(tuple(views), None if capture.bounds is None else np.array(capture.bounds))
 
 
-def _view(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value]) -> View:
-    camera = capture.camera_of(frame)
+def lighting_groups(frames: Iterable[Frame]) -> list[tuple[Frame, ...]]:
+    """Return the frames that differ by their lights only, as one group each, in the order of their first frames.
+
+    Of each group the frame with the most lights comes first: it shows the object without shadows where any does. Frames
+    that name the same lights, or none, are views of their own: nothing says that they belong together.
+    """
+    groups: dict[object, dict[frozenset[str], Frame]] = {}
+    for frame in frames:
+        place = frame.camera, np.asarray(frame.object_to_world, float).tobytes()
+        group = groups.setdefault(place, {})
+        if not frame.lights or frozenset(frame.lights) in group:
+            group = groups.setdefault(frame.id, {})
+        group[frozenset(frame.lights)] = frame
+    return [tuple(sorted(group.values(), key=lambda frame: -len(frame.lights))) for group in groups.values() if group]
+
+
+def _view(folder: Path, capture: Capture, group: tuple[Frame, ...], options: Mapping[str, Value]) -> View:
+    frame, camera = group[0], capture.camera_of(group[0])
     mask = _silhouette(folder, capture, frame, options)
     if not mask.any():
         raise ScanstageError(f"{frame.image}: the silhouette of frame {frame.id} is empty; check the picture, or take "
                              "the silhouette in another way with the silhouette options")
     if os.access(folder, os.W_OK):
         _write_mask(folder, capture, frame, mask)
-    return View(frame.id, camera, mask, partial(_read_image, folder / frame.image, capture.encoding, camera.size,
-                                                frame.image))
+    return View(frame.id, camera, mask, _reader(folder, capture, frame), tuple(
+        LitPicture(lit.id, lit.lights[0], capture.lights[lit.lights[0]].moved(lit.object_to_world), _reader(folder, capture, lit))
+        for lit in group if len(lit.lights) == 1))
 
 
 def _silhouette(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value]) -> np.ndarray:
@@ -102,6 +120,10 @@ def _write_mask(folder: Path, capture: Capture, frame: Frame, mask: np.ndarray) 
     inputs = {path.casefold() for _, path, _ in files_of(capture)}
     if relative.casefold() not in inputs:
         write_mask(inside(folder, relative, relative), mask)
+
+
+def _reader(folder: Path, capture: Capture, frame: Frame) -> Callable[[], np.ndarray]:
+    return partial(_read_image, folder / frame.image, capture.encoding, capture.cameras[frame.camera].size, frame.image)
 
 
 def _read_image(path: Path, encoding: str, size: tuple[int, int], name: str) -> np.ndarray:

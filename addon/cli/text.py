@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from ..options import Option
+from ..reconstruction.methods import COMMON_COUNTS
 
 
 def option_lines(options: Iterable[Option]) -> list[str]:
@@ -26,8 +27,7 @@ def reconstruction_lines(folder: Path, report: dict) -> list[str]:
     lines = [
         f"{folder}: {report['method']}, {shape} voxels of {grid['voxel_size']:.6g}",
         f"  occupied voxels     {counts['occupied']:,} (surface {counts['surface']:,}, of which no view sees {counts['unseen']:,})",
-        f"  tests               {counts['tests']:,} of {counts['tests_dense']:,} voxels x views "
-        f"({100 * counts['tests'] / counts['tests_dense']:.1f} %)",
+        *(f"  {name.replace('_', ' '):<20}{count:,}" for name, count in counts.items() if name not in COMMON_COUNTS),
         "  seconds             " + ", ".join(f"{name} {seconds:.2f}" for name, seconds in report["seconds"].items()),
     ]
     if report["peak_memory"]:

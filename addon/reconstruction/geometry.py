@@ -200,6 +200,14 @@ class Light:
     direction: np.ndarray | None = None
     radius: float = 0.0
 
+    def moved(self, motion) -> Light:
+        """Return the light as seen from a frame that lies at ``motion`` (4, 4) in the world: see `Camera.moved`."""
+        motion = np.asarray(motion, dtype=np.float64)
+        rotation, offset = motion[:3, :3], motion[:3, 3]
+        position = None if self.position is None else (np.asarray(self.position) - offset) @ rotation
+        direction = None if self.direction is None else np.asarray(self.direction) @ rotation
+        return replace(self, position=position, direction=direction)
+
 
 def distort(points, distortion) -> np.ndarray:
     """Apply lens distortion to normalised image coordinates (Brown, 1971; OpenCV's five coefficients).

@@ -20,6 +20,7 @@ from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
 from .geometry import VoxelGrid
+from .outcome import Outcome, VoxelLayer
 from .scan import Scan
 from .volumetric import visual_hull
 from .volumetric.coloring import SurfaceColors, color_surface
@@ -28,6 +29,8 @@ from .volumetric.surface import Surface, extract_surface
 from .volumetric.volume import BRICK, SparseVolume
 
 DEFAULT_VOXELS = 128
+COMMON_COUNTS = ("views", "occupied", "surface", "quads", "unseen")
+"""What the report of every method counts; a method adds counts of its own."""
 _BYTES_A_SURFACE_VOXEL = 450  # bricks, mesh, colours and the arrays on the way to them; see tests/reconstruction
 _BYTES_A_PIXEL = 24  # mask, its codes at every level, summed areas
 _LARGEST_GRID = 1 << 14  # voxels a side: half-voxel coordinates stay exact in the octree's sums
@@ -45,7 +48,7 @@ class Method:
         What a capture must hold.
     options : tuple of Option
     function : callable
-        ``function(scan, grid, *, progress, **options) -> (SparseVolume, report)``.
+        ``function(scan, grid, *, progress, **options) -> Outcome``.
     bounds : callable
         ``bounds(scan, **options) -> (2, 3) array``: the working volume where the user gives none.
     """
@@ -55,7 +58,7 @@ class Method:
     description: str
     needs: tuple[str, ...]
     options: tuple[Option, ...]
-    function: Callable[..., tuple[SparseVolume, dict]]
+    function: Callable[..., Outcome]
     bounds: Callable[..., np.ndarray]
 
 
@@ -78,12 +81,16 @@ class Reconstruction:
         One colour a surface voxel.
     report : dict
         Plain JSON values: method, options, grid, counts, seconds, peak memory, warnings.
+    layers, pictures : mapping
+        As in `Outcome`.
     """
 
     volume: SparseVolume
     surface: Surface
     colors: SurfaceColors
     report: dict
+    layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
+    pictures: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass
@@ -135,25 +142,26 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         _refuse_too_large(box, voxels, scan)
         grid = _grid(box, voxels)
     with watch.step("carve"):
-        volume, found = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **values)
+        outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **values)
+    volume, found = outcome.volume, dict(outcome.report)
     with watch.step("surface"):
-        surface = extract_surface(volume)
+        surface = outcome.surface or extract_surface(volume)
     with watch.step("colour"):
-        colors = color_surface(surface, grid, scan.views, part_of(progress, 0.55, 0.85))
+        colors = outcome.colors or color_surface(surface, grid, scan.views, part_of(progress, 0.55, 0.85))
     with watch.step("re-projection"):
         ious = _silhouette_ious(surface, grid, scan, part_of(progress, 0.85, 1.0))
-    warnings = found.pop("warnings")
+    warnings = list(found.pop("warnings"))
     if bounds is not None or scan.bounds is not None:
         warnings += _clipped(volume)
     counts = {"views": len(scan.views), "occupied": volume.count(), "surface": len(surface.voxels), "quads": len(surface.quads),
-              "unseen": int(np.count_nonzero(colors.views == 0)), "tests": found.pop("tests"), "tests_dense": found.pop("tests_dense")}
+              "unseen": int(np.count_nonzero(colors.views == 0)), **found.pop("counts", {})}
     report = {
         "method": method, "options": values, "voxels": voxels, "counts": counts,
         "grid": {"origin": grid.origin.tolist(), "voxel_size": grid.voxel_size, "shape": list(grid.shape)},
         "silhouette_iou": {"mean": round(float(np.mean(list(ious.values()))), 4) if ious else None, "views": ious},
         "seconds": watch.seconds, "peak_memory": peak_memory(), "warnings": warnings, **found,
     }
-    return Reconstruction(volume, surface, colors, report)
+    return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures)
 
 
 def _silhouette_ious(surface: Surface, grid: VoxelGrid, scan: Scan, progress: Progress) -> dict[str, float]:

@@ -9,12 +9,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .geometry import Camera
+from .geometry import Camera, Light
+
+
+@dataclass(frozen=True)
+class LitPicture:
+    """A picture of a view's own camera and pose, lit by one light alone.
+
+    Parameters
+    ----------
+    name : str
+        The frame's id, for reports.
+    light_id : str
+        The light's id in the capture set.
+    light : Light
+        In the object frame.
+    read_image : callable
+        As `View.read_image`.
+    """
+
+    name: str
+    light_id: str
+    light: Light
+    read_image: Callable[[], np.ndarray]
 
 
 @dataclass(frozen=True)
 class View:
-    """One captured picture.
+    """One captured picture, and those that differ from it by their light only.
 
     Parameters
     ----------
@@ -27,12 +49,15 @@ class View:
     read_image : callable
         Returns the picture as (height, width, 3) float32, linear RGB. Called when a method needs it, one view at a
         time, so that a scan's pictures never lie in memory together.
+    lit : tuple of LitPicture
+        The same camera and pose under single lights of an array.
     """
 
     name: str
     camera: Camera
     mask: np.ndarray | None
     read_image: Callable[[], np.ndarray]
+    lit: tuple[LitPicture, ...] = ()
 
 
 @dataclass(frozen=True)

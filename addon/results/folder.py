@@ -7,8 +7,10 @@
 | ``result.json`` | ``format``, ``version``, ``grid``, and the report: method, options, capture, seconds, counts, ... |
 | ``volume.npz`` | ``occupancy`` bool ``[x, y, z]``, ``origin``, ``voxel_size``, ``surface_voxels`` (s, 3) int32, |
 | | ``surface_colors`` (s, 3) float32 linear, ``surface_views`` (s,) uint16 |
+| | and the layers (see `layers`) |
 | ``mesh.ply`` | the voxels' faces as quads, with sRGB colours at the vertices |
 | ``preview.png`` | a picture of it |
+| ``pictures/*.png`` | what the method has to show besides, where it has |
 
 A folder appears whole or not at all. It is untrusted when read.
 """
@@ -18,7 +20,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -28,16 +31,18 @@ from ..errors import ScanstageError
 from ..files import replacing, sibling
 from ..reconstruction.color import linear_to_srgb
 from ..reconstruction.geometry import VoxelGrid
+from ..reconstruction.outcome import VoxelLayer
 from ..reconstruction.volumetric.coloring import SurfaceColors
 from ..reconstruction.volumetric.surface import Surface, extract_surface
 from ..reconstruction.volumetric.volume import SparseVolume
+from .layers import layer_arrays, layer_fields, read_layers
 from .npz import AGAIN, check_size, open_volume, write_volume
 from .ply import write_ply
 
 FORMAT, VERSION = "scanstage-result", 1
-REPORT, VOLUME, MESH, PREVIEW = "result.json", "volume.npz", "mesh.ply", "preview.png"
+REPORT, VOLUME, MESH, PREVIEW, PICTURES = "result.json", "volume.npz", "mesh.ply", "preview.png", "pictures"
 MAX_REPORT = 1 << 24
-_OURS = ("format", "version", "grid")
+_OURS = ("format", "version", "grid", "layers")
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,8 @@ class Result:
         The volume's exposed faces.
     colors : SurfaceColors, optional
         One row for each of ``surface.voxels``; None for a method that finds no colours.
+    layers : mapping of str to VoxelLayer
+        What the method says of chosen voxels.
     """
 
     folder: Path
@@ -61,6 +68,7 @@ class Result:
     volume: SparseVolume
     surface: Surface
     colors: SurfaceColors | None
+    layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
 
 
 def check_replaceable(folder) -> None:
@@ -88,7 +96,8 @@ def check_replaceable(folder) -> None:
 
 
 def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: SurfaceColors | None, report: dict,
-                 preview: np.ndarray) -> None:
+                 preview: np.ndarray, layers: Mapping[str, VoxelLayer] | None = None,
+                 pictures: Mapping[str, np.ndarray] | None = None) -> None:
     """Write a result folder, in place of an older result or an empty folder.
 
     Parameters
@@ -102,6 +111,9 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
         JSON values (numpy's too): method, options, capture, seconds per step, peak memory, counts, warnings.
     preview : (h, w, 3) or (h, w, 4) uint8 array
         sRGB, with alpha or without.
+    layers : mapping of str to VoxelLayer, optional
+    pictures : mapping of str to (h, w, 3) uint8 array, optional
+        By the names of their files, without ending.
 
     Raises
     ------
@@ -112,9 +124,10 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
     """
     check_replaceable(folder)
     folder = Path(folder).resolve()
-    text = _encode({**report, "format": FORMAT, "version": VERSION, "grid": _grid_fields(volume.grid)})
-    picture = _png(preview)
-    arrays = {"surface_voxels": surface.voxels.astype(np.int32)}
+    layers = layers or {}
+    text = _encode({**report, "format": FORMAT, "version": VERSION, "grid": _grid_fields(volume.grid), "layers": layer_fields(layers)})
+    files = {PREVIEW: _png(preview)} | {f"{PICTURES}/{name}.png": _png(picture) for name, picture in (pictures or {}).items()}
+    arrays = {"surface_voxels": surface.voxels.astype(np.int32), **layer_arrays(layers)}
     vertex_colors = None
     if colors is not None:
         if colors.rgb.shape != (len(surface.voxels), 3) or colors.views.shape != (len(surface.voxels),):
@@ -126,7 +139,10 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
         temporary.mkdir(parents=True)
         write_volume(temporary / VOLUME, volume, arrays)
         write_ply(temporary / MESH, surface.vertices, surface.quads, vertex_colors=vertex_colors)
-        _write(temporary / PREVIEW, picture)
+        if pictures:
+            (temporary / PICTURES).mkdir()
+        for name, data in files.items():
+            _write(temporary / name, data)
         _write(temporary / REPORT, text)
         _put_in_place(temporary, folder)
     except OSError as error:
@@ -161,7 +177,8 @@ def read_result(folder) -> Result:
             if not np.isfinite(rgb).all():
                 raise ScanstageError(f"{folder / VOLUME}: surface_colors holds a colour that is not finite; {AGAIN}")
             colors = SurfaceColors(rgb, file.array("surface_views", "<u2", (len(rows),))[rows])
-    return Result(folder, report, volume, surface, colors)
+        layers = read_layers(file, report.get("layers", {}), grid, folder / REPORT)
+    return Result(folder, report, volume, surface, colors, layers)
 
 
 def report_section(folder, name: str, section: dict) -> None:

@@ -19,7 +19,7 @@ from ..captures.scan import load_scan
 from ..captures.schema import FILE_NAME
 from ..captures.store import read_capture
 from ..errors import ScanstageError
-from ..reconstruction.methods import METHODS
+from ..reconstruction.methods import COMMON_COUNTS, METHODS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..render.capture import capture_frames
 from ..results import folder as results
@@ -305,8 +305,8 @@ def changed_values(group: bpy.types.PropertyGroup) -> dict:
 def summary(report: dict) -> list[str]:
     """Return what a panel shows of a reconstruction, one fact a line."""
     counts, iou = report["counts"], report["silhouette_iou"]["mean"]
-    lines = [f"{counts['occupied']:,} voxels, {counts['quads']:,} faces",
-             f"{sum(report['seconds'].values()):.1f} s, {100 * counts['tests'] / counts['tests_dense']:.1f} % of all tests"]
+    lines = [f"{counts['occupied']:,} voxels, {counts['quads']:,} faces", f"{sum(report['seconds'].values()):.1f} s"]
+    lines += [f"{name.replace('_', ' ').capitalize()}: {count:,}" for name, count in counts.items() if name not in COMMON_COUNTS]
     return lines + ([f"Silhouettes match to {100 * iou:.1f} %"] if iou else []) + [f"! {w}" for w in report["warnings"]]
 
 

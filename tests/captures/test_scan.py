@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from addon.captures.pictures import read_mask, write_mask, write_picture
-from addon.captures.scan import load_scan
+from addon.captures.scan import lighting_groups, load_scan
+from addon.captures.schema import Frame
 from addon.captures.store import read_capture, write_capture
 from addon.errors import Cancelled, ScanstageError
+from addon.reconstruction.geometry import Light
 
 SIZE = (8, 6)
 SQUARE = np.zeros((6, 8), bool)
@@ -120,3 +122,42 @@ def test_progress_reaches_the_end_and_stops_the_work(capture_folder):
 
     with pytest.raises(Cancelled):
         load_scan(capture_folder, progress=stop)
+
+
+# --- frames under different lights -------------------------------------------------------------------------------------------
+
+TURNED = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+
+def frame(id, lights=(), motion=None, camera="left"):
+    return Frame(id, "images/0001.png", camera, np.eye(4) if motion is None else motion, lights)
+
+
+@pytest.mark.parametrize("frames, expected", [
+    ([frame("a"), frame("b")], ["a", "b"]),  # nothing says that they differ by their light
+    ([frame("a", ("1",)), frame("b", ("1", "2")), frame("c", ("2",))], ["bac"]),
+    ([frame("a", ("1",)), frame("b", ("1",), TURNED)], ["a", "b"]),
+    ([frame("a", ("1",)), frame("b", ("2",), camera="right")], ["a", "b"]),
+    ([frame("a", ("1", "2")), frame("b", ("2", "1"))], ["a", "b"]),  # the same lights: two views, of which one may be wrong
+    ([frame("a", ("1",), TURNED), frame("b", ("1",)), frame("c", ("2",), TURNED), frame("d", ("2",))], ["ac", "bd"]),
+])
+def test_frames_of_a_view_are_those_that_differ_by_their_lights_only(frames, expected):
+    assert ["".join(member.id for member in group) for group in lighting_groups(frames)] == expected
+
+
+def test_single_lights_belong_to_a_view_and_stand_in_the_object_frame(capture_folder):
+    lights = {name: Light("point", np.array([1.0, n, 3.0]), radius=0.1) for n, name in enumerate("xy")}
+    frames = (frame("both", ("x", "y"), TURNED), frame("one", ("x",), TURNED), frame("two", ("y",), TURNED))
+    write_capture(capture_folder, dataclasses.replace(read_capture(capture_folder), lights=lights, frames=frames))
+    view, = load_scan(capture_folder).views
+    assert view.name == "both" and [(lit.name, lit.light_id, lit.light.radius) for lit in view.lit] == [("one", "x", 0.1), ("two", "y", 0.1)]
+    for n, lit in enumerate(view.lit):
+        # The table turned the object; where the light stands for the object, turned back into the world, is where it stands.
+        np.testing.assert_allclose(TURNED[:3, :3] @ lit.light.position + TURNED[:3, 3], [1.0, n, 3.0], atol=1e-12)
+        assert lit.read_image().shape == (6, 8, 3)
+
+
+def test_lights_turn_with_their_direction():
+    sun = Light("sun", None, np.array([0.0, 0.6, -0.8])).moved(TURNED)
+    np.testing.assert_allclose(TURNED[:3, :3] @ sun.direction, [0.0, 0.6, -0.8], atol=1e-12)
+    assert sun.position is None

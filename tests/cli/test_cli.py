@@ -123,7 +123,7 @@ def test_the_report_is_what_the_verb_found(reconstruct, run, tmp_path):
     reconstruct("--report", tmp_path / "report.json")
     report = json.loads((tmp_path / "report.json").read_text())
     written = json.loads((tmp_path / "result" / "result.json").read_text())
-    assert "lines" not in report and {**report, "format": "scanstage-result", "version": 1} == written
+    assert "lines" not in report and {**report, "format": "scanstage-result", "version": 1, "layers": {}} == written
     assert run("evaluate", tmp_path / "result", "--set", "samples=500", "--report", tmp_path / "report.json")[0] == 0
     assert json.loads((tmp_path / "report.json").read_text()) == json.loads((tmp_path / "result" / "result.json").read_text())["evaluation"]
 

@@ -17,6 +17,7 @@ from ...errors import ScanstageError
 from ...options import Option
 from ...progress import Progress, part_of, silent
 from ..geometry import VoxelGrid
+from ..outcome import Outcome
 from ..scan import Scan, View
 from ..undistortion import undistorted_view
 from .bounds import Silhouette, bounds_from_silhouettes, spread_order
@@ -67,7 +68,7 @@ def working_bounds(scan: Scan, *, rule: str, tolerance: int, outside: str) -> np
 
 
 def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tolerance: int = 0, outside: str = "unknown",
-                progress: Progress = silent) -> tuple[SparseVolume, dict]:
+                progress: Progress = silent) -> Outcome:
     """Carve the visual hull of a scan.
 
     Parameters
@@ -83,9 +84,8 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
 
     Returns
     -------
-    volume : SparseVolume
-    report : dict
-        ``tests``, ``tests_dense`` (voxels times views) and ``warnings``.
+    Outcome
+        Its report counts ``tests`` and ``tests_dense`` (voxels times views).
 
     Raises
     ------
@@ -103,8 +103,8 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
     names = [scan.views[index].name for index in order]
     _refuse_empty(volume, counts, names)
     dense = grid.count * len(tests)
-    return volume, {"tests": counts.tests, "tests_dense": dense, "tests_share": counts.tests / dense,
-                    "warnings": _warnings(scan) + (_undersampled(scan, grid) if rule == "conservative" else [])}
+    return Outcome(volume, {"counts": {"tests": counts.tests, "tests_dense": dense},
+                            "warnings": _warnings(scan) + (_undersampled(scan, grid) if rule == "conservative" else [])})
 
 
 def _refuse_empty(volume: SparseVolume, counts: Counts, names: Sequence[str]) -> None:

@@ -56,7 +56,7 @@ def truth_voxels_removed(rule: str, seed: int, voxels: int, scale: int = 1) -> i
     views = [replace(view, mask=covering(view.mask) if rule == "conservative" else view.mask) for view in views_of(cameras, shapes)]
     grid = VoxelGrid.from_bounds(random.uniform(-1.3, -1, 3), random.uniform(1, 1.3, 3), voxels)
     truth = wholly_inside(grid, shapes)
-    hull = visual_hull(Scan(tuple(views)), grid, rule=rule)[0].dense()
+    hull = visual_hull(Scan(tuple(views)), grid, rule=rule).volume.dense()
     return int(np.count_nonzero(truth & ~hull))
 
 
@@ -73,7 +73,7 @@ def test_the_same_test_fails_for_the_center_rule():
 
 def test_holds_the_center_rules_hull():
     views = tuple(views_of(ring(8), [Ball((0, 0, 0), 0.7)]))
-    conservative, center = (visual_hull(Scan(views), CUBE, rule=rule)[0].dense() for rule in ("conservative", "center"))
+    conservative, center = (visual_hull(Scan(views), CUBE, rule=rule).volume.dense() for rule in ("conservative", "center"))
     assert (conservative | ~center).all()
     assert conservative.sum() > center.sum()
 
@@ -84,7 +84,7 @@ def test_sphere_seen_orthographically_gives_the_circumscribed_polygon(count, tan
     radius, distance = 0.7, 2000.0
     cameras = ring(count, elevation=0, distance=distance, focal=distance * 200, size=(600, 600))
     grid = VoxelGrid.from_bounds((-1, -1, -1), (1, 1, 1), 129)
-    volume, _ = visual_hull(Scan(tuple(views_of(cameras, [Ball((0, 0, 0), radius)]))), grid, rule="center")
+    volume = visual_hull(Scan(tuple(views_of(cameras, [Ball((0, 0, 0), radius)]))), grid, rule="center").volume
     area = volume.dense()[:, :, 64].sum() * grid.voxel_size ** 2
     polygon = tangents * np.tan(np.pi / tangents) * radius ** 2
     # A pixel is 1/200 and samples the silhouette to half of that on each side: well within one layer of voxels.
@@ -99,15 +99,15 @@ def test_views_from_behind_add_nothing_but_do_no_harm():
     outside = views_of(ring(6), shapes)
     away = camera_at((0, 4, 0.1), (0, 9, 0.1))
     blind = views_of([away], shapes)[0]
-    with_blind = visual_hull(Scan((*outside, blind)), CUBE, outside="unknown")[0].dense()
-    assert np.array_equal(with_blind, visual_hull(Scan(tuple(outside)), CUBE)[0].dense())
+    with_blind = visual_hull(Scan((*outside, blind)), CUBE, outside="unknown").volume.dense()
+    assert np.array_equal(with_blind, visual_hull(Scan(tuple(outside)), CUBE).volume.dense())
 
 
 def test_object_beyond_the_picture_is_kept_or_removed_as_told():
     camera = camera_at((0, -4, 0), focal=900)
     views = tuple(views_of([camera], [Box((0, 0, 0), (0.9, 0.2, 0.2), np.eye(3))]))
-    kept = visual_hull(Scan(views), CUBE, outside="unknown")[0].dense()
-    cut = visual_hull(Scan(views), CUBE, outside="empty")[0].dense()
+    kept = visual_hull(Scan(views), CUBE, outside="unknown").volume.dense()
+    cut = visual_hull(Scan(views), CUBE, outside="empty").volume.dense()
     assert kept[0, 24, 24] and kept[-1, 24, 24] and cut[24, 24, 24]
     assert not cut[0, 24, 24] and not cut[-1, 24, 24]
 
@@ -116,7 +116,7 @@ def test_one_wrong_mask_is_forgiven_by_tolerance():
     views = views_of(ring(12), [Ball((0, 0, 0), 0.6)])
     views[5] = replace(views[5], mask=np.roll(views[5].mask, 70, axis=1))
     right = wholly_inside(CUBE, [Ball((0, 0, 0), 0.6)])
-    strict, tolerant = (visual_hull(Scan(tuple(views)), CUBE, tolerance=n)[0].dense() for n in (0, 1))
+    strict, tolerant = (visual_hull(Scan(tuple(views)), CUBE, tolerance=n).volume.dense() for n in (0, 1))
     assert (right & ~strict).sum() > 0.1 * right.sum()
     assert not (right & ~tolerant).any()
 
@@ -132,10 +132,10 @@ def test_lens_distortion_is_undone():
         directions = np.concatenate((rays[:, 0], np.ones((len(rays), 1))), axis=-1) @ camera.R
         mask = shapes[0].hit_by(camera.centre, directions).reshape(240, 320)
         views.append(replace(views_of([camera], shapes)[0], name=str(i), camera=bent, mask=covering(mask)))
-    hull = visual_hull(Scan(tuple(views)), CUBE)[0].dense()
+    hull = visual_hull(Scan(tuple(views)), CUBE).volume.dense()
     assert not (wholly_inside(CUBE, shapes) & ~hull).any()
     perfect = visual_hull(Scan(tuple(replace(view, mask=covering(view.mask)) for view in views_of(ring(10, focal=330.0), shapes))),
-                          CUBE)[0].dense()
+                          CUBE).volume.dense()
     shell = 6 * (np.pi / 6) ** (1 / 3) * (6 * perfect.sum() / np.pi) ** (2 / 3) / 2  # a layer on a ball of that many voxels
     assert (hull ^ perfect).sum() < shell
 
@@ -176,7 +176,7 @@ def test_without_views_or_masks(views, words):
 
 
 def warnings_for(views, grid=CUBE):
-    return " | ".join(visual_hull(Scan(tuple(views)), grid)[1]["warnings"])
+    return " | ".join(visual_hull(Scan(tuple(views)), grid).report["warnings"])
 
 
 def test_warns_of_mirrored_and_non_metric_calibrations():
@@ -202,11 +202,11 @@ def test_warns_when_pictures_are_too_coarse_for_the_voxels():
     shapes = [Ball((0, 0, 0), 0.5)]
     fine = VoxelGrid.from_bounds((-1, -1, -1), (1, 1, 1), 200)  # 450 px at 4 m: 1.1 px a voxel
     assert "a voxel spans 1.1 pixels in frame 0000" in warnings_for(views_of(ring(6), shapes), fine)
-    assert visual_hull(Scan(tuple(views_of(ring(6), shapes))), fine, rule="center")[1]["warnings"] == []
+    assert visual_hull(Scan(tuple(views_of(ring(6), shapes))), fine, rule="center").report["warnings"] == []
 
 
 def test_report_counts_the_work():
-    report = visual_hull(Scan(tuple(views_of(ring(6), [Ball((0, 0, 0), 0.5)]))), CUBE)[1]
+    report = visual_hull(Scan(tuple(views_of(ring(6), [Ball((0, 0, 0), 0.5)]))), CUBE).report["counts"]
     assert report["tests_dense"] == 48 ** 3 * 6
     assert 0 < report["tests"] < report["tests_dense"]
 
