@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import bpy
 
@@ -47,20 +48,24 @@ def aim(camera: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> Non
     camera.data.display_size = distance * 0.15
 
 
-def add_headlight(stage: bpy.types.Collection, camera: bpy.types.Object, number: int,
-                  distance: float) -> bpy.types.Object:
-    """Add a point light in a camera's centre: what the camera sees is lit, with no shadow and, at one sample, no noise.
+def add_light(stage: bpy.types.Collection, camera: bpy.types.Object, number: int, distance: float, *,
+              offset: Sequence[float] = (0.0, 0.0, 0.0), size: float = 0.0) -> bpy.types.Object:
+    """Add a point light that a camera carries. In its centre it is a headlight: nothing the camera sees lies in shadow.
 
     Parameters
     ----------
     distance : float
         In metres; a white surface that faces the light from there is seen as white (radiance 1).
+    offset : (3,) sequence
+        From the camera's centre, in the camera's own axes: right, up, backward.
+    size : float
+        Radius of the luminous sphere; 0 casts hard shadows and is, at one sample, free of noise.
     """
     data = bpy.data.lights.new(f"Scanstage Light {number}", "POINT")
-    data.shadow_soft_size = 0.0
+    data.shadow_soft_size = size
     data.energy = 4 * math.pi ** 2 * distance ** 2  # radiance of a matte surface: albedo * energy / (2 pi distance)^2
     light = ownership.add(stage, data.name, data, "light", device=f"light-{number}")
-    light.parent = camera
+    light.parent, light.location = camera, offset
     return light
 
 

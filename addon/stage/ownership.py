@@ -24,6 +24,7 @@ _SETTINGS = "scanstage_settings_before"
 _WORLD = "scanstage_world_before"
 _CAMERA = "scanstage_camera_before"
 _MARKERS = "scanstage_marker_cameras_before"
+_ACTION = "scanstage_action_before"
 _HIDDEN = "scanstage_hidden"
 _ROLE = "scanstage_role"
 _DEVICE = "scanstage_device"
@@ -63,6 +64,7 @@ def create_stage(scene: bpy.types.Scene, preset: str, options: dict[str, object]
     paths = (*scene_settings.capture_settings(scene), *scene_settings.STAGE_SETTINGS)
     stage[_SETTINGS] = json.dumps(scene_settings.snapshot(scene, paths))
     stage[_WORLD], stage[_CAMERA] = scene.world, scene.camera
+    stage[_ACTION] = scene.animation_data.action if scene.animation_data else None
     # A marker's camera overrides the scene's in every render.
     bound = [marker for marker in scene.timeline_markers if marker.camera is not None]
     stage[_MARKERS] = {f"{marker.frame} {marker.name}": marker.camera for marker in bound}
@@ -189,7 +191,6 @@ def _show_hidden(stage: bpy.types.Collection | None) -> None:
 
 
 def _restore_scene(scene: bpy.types.Scene, stage: bpy.types.Collection) -> None:
-    scene_settings.apply(scene, json.loads(stage[_SETTINGS]))
     ours = set(stage.all_objects)
     for marker in [m for m in scene.timeline_markers if m.camera in ours]:
         scene.timeline_markers.remove(marker)
@@ -201,6 +202,10 @@ def _restore_scene(scene: bpy.types.Scene, stage: bpy.types.Collection) -> None:
         scene.camera = stage.get(_CAMERA)
     if scene.world is None or is_marked(scene.world):
         scene.world = stage.get(_WORLD)
+    animation = scene.animation_data
+    if animation and (animation.action is None or is_marked(animation.action)):
+        animation.action = stage.get(_ACTION)
+    scene_settings.apply(scene, json.loads(stage[_SETTINGS]))  # last: a setting may have been animated
 
 
 def _remove_orphans() -> None:

@@ -26,6 +26,7 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
     "cycles.volume_bounces": 0,
     "cycles.sample_clamp_direct": 0.0,
     "cycles.light_sampling_threshold": 0.0,
+    "cycles.use_light_tree": False,  # lights are sampled in turn: as many samples as lights see each of them once
     "cycles.film_exposure": 1.0,
     # The ray goes through the pixel's centre. A box filter ignores its width and always spans a whole pixel.
     "cycles.pixel_filter_type": "GAUSSIAN",
