@@ -23,15 +23,19 @@ from .reconstruction.evaluation import OPTIONS as EVALUATION_OPTIONS
 from .reconstruction.evaluation import evaluate
 from .reconstruction.mesh import TriangleMesh
 from .reconstruction.preview import render_preview, upward
+from .reconstruction.shadows import SHADOW_OPTIONS
 from .reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from .results.folder import REPORT, Result, check_replaceable, read_result, report_section, write_result
 from .results.ply import read_ply
 
+INPUT_OPTIONS = {"silhouettes": SILHOUETTE_OPTIONS, "lights": SHADOW_OPTIONS}
+"""By what a method needs of a capture: the options of how that is taken from the pictures."""
+
 
 def reconstruct_options(method: str) -> tuple[Option, ...]:
-    """Return every option that `reconstruct` takes with a method: the method's and those of the silhouettes."""
+    """Return every option that `reconstruct` takes with a method: the method's and those of what it needs."""
     entry = methods.find_method(method)
-    return entry.options + (SILHOUETTE_OPTIONS if "silhouettes" in entry.needs else ())
+    return sum((INPUT_OPTIONS[need] for need in entry.needs), entry.options)
 
 
 def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.DEFAULT_VOXELS, bounds: np.ndarray | None = None,
@@ -52,8 +56,8 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     Returns
     -------
     dict
-        The report, as in ``result.json``: that of `methods.reconstruct`, with ``capture``, and with the silhouette's options
-        that were not left to the capture set.
+        The report, as in ``result.json``: that of `methods.reconstruct`, with ``capture``, and with those options of the
+        silhouettes and shadows that were given.
 
     Raises
     ------
@@ -61,14 +65,15 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
         An option, the capture set or the place for the result cannot be used: no folder is then written.
     """
     _check_place(out, capture)
-    own, silhouette = _divided(method, options or {})
+    own, inputs = _divided(method, options or {})
     own = methods.check_call(method, voxels=voxels, bounds=bounds, options=own)
     if own.get("rule") == "center":
-        silhouette.setdefault("conservative", False)  # the rule is unbiased only with masks that are
-    scan = load_scan(capture, silhouette, part_of(progress, 0.0, 0.2))
+        inputs["silhouettes"].setdefault("conservative", False)  # the rule is unbiased only with masks that are
+    scan = load_scan(capture, inputs["silhouettes"], part_of(progress, 0.0, 0.2), shadow_options=inputs.get("lights"))
     found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
-    report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": silhouette}
+    report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": inputs["silhouettes"],
+              **({"shadows": inputs["lights"]} if "lights" in inputs else {})}
     up = upward([view.camera for view in scan.views])
     preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
     write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview,
@@ -83,16 +88,18 @@ def _check_place(out: Path, capture: Path) -> None:
         raise ScanstageError(f"{out}: holds the capture set and would be replaced; name another folder for the result")
 
 
-def _divided(method: str, options: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
-    """Return the options that are the method's, as given, and those of the silhouettes, checked."""
+def _divided(method: str, options: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, dict[str, Value]]]:
+    """Return the options that are the method's, as given, and for each of its needs those that are given, checked."""
     entry = methods.find_method(method)
     known = {option.name: option for option in reconstruct_options(method)}
     if unknown := options.keys() - known.keys():
         raise ScanstageError(f"method {method} has no option {min(unknown)!r}; its options are: {', '.join(known)}")
-    own = {option.name for option in entry.options}
-    others = [known[name] for name in options if name not in own]
-    return ({name: value for name, value in options.items() if name in own},
-            resolve(others, {option.name: options[option.name] for option in others}, "silhouette"))
+    inputs = {}
+    for need in entry.needs:
+        chosen = [option for option in INPUT_OPTIONS[need] if option.name in options]
+        inputs[need] = resolve(chosen, {option.name: options[option.name] for option in chosen}, need)
+    taken = {name for values in inputs.values() for name in values}
+    return {name: value for name, value in options.items() if name not in taken}, inputs
 
 
 def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options: Mapping[str, Value] | None = None,

@@ -36,6 +36,15 @@ class Ball:
         along = directions @ to_centre / np.linalg.norm(directions, axis=-1)
         return (to_centre @ to_centre - along ** 2 <= self.radius ** 2) & (along > 0)
 
+    def along(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where rays enter and leave the ball, in lengths of their direction; inf and -inf where they do not, before 0 too."""
+        a = (directions ** 2).sum(-1)
+        to_centre = np.array(self.centre) - origins
+        b = (to_centre * directions).sum(-1)
+        inner = b ** 2 - a * ((to_centre ** 2).sum(-1) - self.radius ** 2)
+        root = np.sqrt(np.maximum(inner, 0))
+        return _ahead((b - root) / a, (b + root) / a, inner > 0)
+
 
 @dataclass(frozen=True)
 class Box:
@@ -56,6 +65,19 @@ class Box:
             first, second = (-np.array(self.half) - start) / step, (np.array(self.half) - start) / step
         enter, leave = np.minimum(first, second).max(-1), np.maximum(first, second).min(-1)
         return (enter <= leave) & (leave > 0)
+
+    def along(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where rays enter and leave the box, as `Ball.along`."""
+        start, step = (origins - np.array(self.centre)) @ self.rotation, directions @ self.rotation
+        step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+        first, second = (-np.array(self.half) - start) / step, (np.array(self.half) - start) / step
+        enter, leave = np.minimum(first, second).max(-1), np.maximum(first, second).min(-1)
+        return _ahead(enter, leave, enter < leave)
+
+
+def _ahead(enter: np.ndarray, leave: np.ndarray, meets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    meets = meets & (leave > 0)
+    return np.where(meets, np.maximum(enter, 0), np.inf), np.where(meets, leave, -np.inf)
 
 
 def pixel_rays(camera: Camera) -> np.ndarray:
@@ -118,3 +140,24 @@ def write_ball_capture(folder: Path, ball: Ball, cameras: Sequence[Camera], *, c
                       truth_mesh="truth.ply", **fields)
     write_capture(folder, capture)
     return capture
+
+
+def first_hit(shapes, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return how far along rays (..., 3) from ``origin`` (3,) or (..., 3) the first shape begins, in lengths of the direction; inf for none."""
+    return np.min([shape.along(origin, directions)[0] for shape in shapes], axis=0)
+
+
+def in_shadow(camera: Camera, light: np.ndarray, shapes) -> np.ndarray:
+    """Return (height, width) bool: the pixels whose centres see a point of the shapes that ``light`` (3,) does not reach."""
+    rays = pixel_rays(camera)
+    distance = first_hit(shapes, camera.centre, rays)
+    seen = np.isfinite(distance)
+    points = camera.centre + np.where(seen, distance, 1.0)[..., None] * rays
+    towards = light - points
+    # A point of the surface is not hidden by itself: what begins within a millionth of the way is its own shape, unless that
+    # goes on, which is where the surface turns away from the light.
+    hidden = np.zeros(seen.shape, bool)
+    for shape in shapes:
+        enter, leave = shape.along(points, towards)
+        hidden |= (enter < 1) & (leave > 1e-6) & (leave > enter + 1e-9)
+    return seen & hidden

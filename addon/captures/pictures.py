@@ -149,7 +149,7 @@ def write_picture(path: Path, rgb: np.ndarray, alpha: np.ndarray | None = None, 
     if alpha is not None:
         channels.append(np.clip(alpha, 0, 1)[..., None])
     levels = np.round(np.concatenate(channels, axis=-1) * float((1 << bits) - 1))
-    _write_png(path, levels.astype(np.uint8 if bits == 8 else np.uint16))
+    write_levels(path, levels.astype(np.uint8 if bits == 8 else np.uint16))
 
 
 def read_mask(path: Path, *, size: tuple[int, int], name: str | None = None) -> np.ndarray:
@@ -166,8 +166,9 @@ def read_mask(path: Path, *, size: tuple[int, int], name: str | None = None) -> 
 
 def write_mask(path: Path, mask: np.ndarray) -> None:
     """Write a (height, width) bool silhouette as a PNG of black and white, whole or not at all."""
-    _write_png(path, np.where(mask, np.uint8(255), np.uint8(0)))
+    write_levels(path, np.where(mask, np.uint8(255), np.uint8(0)))
 
 
-def _write_png(path: Path, levels: np.ndarray) -> None:
+def write_levels(path: Path, levels: np.ndarray) -> None:
+    """Write an array of 8- or 16-bit grey levels or BGR(A) colours as a PNG, whole or not at all."""
     write_bytes(path, cv2.imencode(".png", levels)[1].tobytes())

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,17 +19,19 @@ from ..errors import ScanstageError
 from ..options import Value, resolve
 from ..progress import Progress, silent
 from ..reconstruction.scan import LitPicture, Scan, View
+from ..reconstruction.shadows import MOST_LIGHTS, SHADOW_OPTIONS, detect_shadows
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS, extract
 from .files import inside
-from .pictures import read_mask, read_picture, write_mask
+from .pictures import read_mask, read_picture, write_levels
 from .schema import FILE_NAME, Capture, Frame
 from .store import files_of, read_capture
 
-MASKS = "masks"
+MASKS, SHADOWS = "masks", "shadows"
 
 
-def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = None, progress: Progress = silent) -> Scan:
-    """Read a capture set's views and take their silhouettes.
+def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = None, progress: Progress = silent, *,
+              shadow_options: Mapping[str, Value] | None = None) -> Scan:
+    """Read a capture set's views, take their silhouettes and, where asked, find their shadows.
 
     Each silhouette is also written to ``masks/<frame id>.png`` in the set, to be looked at, unless the set cannot be
     written to or already names a file of its own so. Frames under a projected pattern are left out: what
@@ -41,6 +44,9 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
     silhouette_options : mapping of str to value, optional
         By the names of `SILHOUETTE_OPTIONS`; they override those that the set itself gives.
     progress : Progress
+    shadow_options : mapping of str to value, optional
+        By the names of `SHADOW_OPTIONS`. If given, the shadows of views with pictures under single lights are found, and
+        written to ``shadows/<frame id>.png`` as the silhouettes are.
 
     Returns
     -------
@@ -62,12 +68,16 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
         raise ScanstageError(f"{FILE_NAME}: frames: a pattern is projected in every frame; "
                              "capture at least one frame without a pattern")
     options = resolve(SILHOUETTE_OPTIONS, {**capture.silhouette, **(silhouette_options or {})}, "silhouette")
+    shadows = None if shadow_options is None else resolve(SHADOW_OPTIONS, shadow_options, "shadows")
     views, groups = [], lighting_groups(frames)
     for index, group in enumerate(groups):
-        progress(index / len(groups), f"Silhouette {index + 1} of {len(groups)}")
-        views.append(_view(folder, capture, group, options))
+        progress(index / len(groups), f"{'Silhouette' if shadows is None else 'Silhouette and shadows'} {index + 1} of {len(groups)}")
+        view = _view(folder, capture, group, options)
+        views.append(view if shadows is None else _with_shadows(folder, capture, view, shadows))
     progress(1.0, f"{len(views)} silhouettes")
-    return Scan(tuple(views), None if capture.bounds is None else np.array(capture.bounds))
+    used = {light for frame in capture.frames for light in frame.lights}
+    return Scan(tuple(views), None if capture.bounds is None else np.array(capture.bounds),
+                tuple(light for light in capture.lights if light not in used))
 
 
 def lighting_groups(frames: Iterable[Frame]) -> list[tuple[Frame, ...]]:
@@ -92,8 +102,7 @@ def _view(folder: Path, capture: Capture, group: tuple[Frame, ...], options: Map
     if not mask.any():
         raise ScanstageError(f"{frame.image}: the silhouette of frame {frame.id} is empty; check the picture, or take "
                              "the silhouette in another way with the silhouette options")
-    if os.access(folder, os.W_OK):
-        _write_mask(folder, capture, frame, mask)
+    _write_mask(folder, capture, f"{MASKS}/{frame.id}.png", np.where(mask, np.uint8(255), np.uint8(0)))
     return View(frame.id, camera, mask, _reader(folder, capture, frame), tuple(
         LitPicture(lit.id, lit.lights[0], capture.lights[lit.lights[0]].moved(lit.object_to_world), _reader(folder, capture, lit))
         for lit in group if len(lit.lights) == 1))
@@ -115,11 +124,24 @@ def _silhouette(folder: Path, capture: Capture, frame: Frame, options: Mapping[s
         raise ScanstageError(f"{frame.image}: {error}") from None
 
 
-def _write_mask(folder: Path, capture: Capture, frame: Frame, mask: np.ndarray) -> None:
-    relative = f"{MASKS}/{frame.id}.png"
+def _with_shadows(folder: Path, capture: Capture, view: View, options: Mapping[str, Value]) -> View:
+    """Return a view with its shadows, which are also written beside the captures."""
+    if not view.lit:
+        return view
+    if len(view.lit) > MOST_LIGHTS:
+        raise ScanstageError(f"{FILE_NAME}: frame {view.name}: has pictures under {len(view.lit)} single lights, more than {MOST_LIGHTS}; "
+                             "leave some out of frames")
+    masks = detect_shadows([picture.read_image() for picture in view.lit], view.read_image(), **options)
+    for number, picture in enumerate(view.lit):
+        _write_mask(folder, capture, f"{SHADOWS}/{picture.name}.png", masks.picture(number))
+    return replace(view, shadows=masks)
+
+
+def _write_mask(folder: Path, capture: Capture, relative: str, levels: np.ndarray) -> None:
+    """Write a mask to be looked at, unless the set cannot be written to or has a file of its own of that name."""
     inputs = {path.casefold() for _, path, _ in files_of(capture)}
-    if relative.casefold() not in inputs:
-        write_mask(inside(folder, relative, relative), mask)
+    if os.access(folder, os.W_OK) and relative.casefold() not in inputs:
+        write_levels(inside(folder, relative, relative), levels)
 
 
 def _reader(folder: Path, capture: Capture, frame: Frame) -> Callable[[], np.ndarray]:

@@ -22,7 +22,7 @@ from ..progress import Progress, part_of, silent
 from .geometry import VoxelGrid
 from .outcome import Outcome, VoxelLayer
 from .scan import Scan
-from .volumetric import visual_hull
+from .volumetric import shadow_carving, visual_hull
 from .volumetric.coloring import SurfaceColors, color_surface
 from .volumetric.item_buffer import reprojection_iou
 from .volumetric.surface import Surface, extract_surface
@@ -44,8 +44,8 @@ class Method:
     Parameters
     ----------
     name, label, description : str
-    needs : tuple of {'silhouettes', 'colour'}
-        What a capture must hold.
+    needs : tuple of {'silhouettes', 'lights'}
+        What a capture must hold: silhouettes; pictures under single lights.
     options : tuple of Option
     function : callable
         ``function(scan, grid, *, progress, **options) -> Outcome``.
@@ -65,6 +65,8 @@ class Method:
 METHODS = {method.name: method for method in (
     Method("visual-hull", "Visual Hull", "The largest shape with the captured silhouettes, carved by an octree",
            ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds),
+    Method("shadow-carving", "Shadow Carving", "The visual hull, less the hollows that the shadows of an array of lights show to be empty",
+           ("silhouettes", "lights"), shadow_carving.OPTIONS, shadow_carving.shadow_carving, shadow_carving.working_bounds),
 )}
 
 

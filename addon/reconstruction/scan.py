@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .geometry import Camera, Light
+from .shadows import ShadowMasks
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,8 @@ class View:
         time, so that a scan's pictures never lie in memory together.
     lit : tuple of LitPicture
         The same camera and pose under single lights of an array.
+    shadows : ShadowMasks, optional
+        The shadows of those lights, in their order.
     """
 
     name: str
@@ -58,6 +61,7 @@ class View:
     mask: np.ndarray | None
     read_image: Callable[[], np.ndarray]
     lit: tuple[LitPicture, ...] = ()
+    shadows: ShadowMasks | None = None
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,10 @@ class Scan:
     views : tuple of View
     bounds : (2, 3) array, optional
         Lower and upper corner of the working volume in the object frame, where the capture gives one.
+    unused_lights : tuple of str
+        Ids of the lights that are on in no frame.
     """
 
     views: tuple[View, ...]
     bounds: np.ndarray | None = None
+    unused_lights: tuple[str, ...] = ()

@@ -163,6 +163,18 @@ class _Rays:
         return (self.x * X).take(u) + (self.y * (Y - self.skew * X) + Z).take(v)
 
 
+def pixel_rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
+    """Return the (n, 3) directions, with unit depth, of the rays through the centres of flat pixels (n,), the lens allowed for.
+
+    A pixel that the lens model never reaches has NaN.
+    """
+    row, column = np.divmod(pixels, camera.size[0])
+    if not camera.distorted:
+        return camera.rays(np.column_stack((column, row)))
+    x, y = (values.take(pixels) for values in _undistorted(tuple(camera.K.ravel()), tuple(camera.distortion), camera.size))
+    return np.column_stack((x, y, np.ones(len(pixels)))) @ camera.R
+
+
 @lru_cache(maxsize=2)
 def _undistorted(K: tuple, distortion: tuple, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return the flat ideal image coordinates of all pixels; NaN where the lens model has no inverse."""

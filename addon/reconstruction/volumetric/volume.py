@@ -110,6 +110,20 @@ class SparseVolume:
         occupied[mixed] = self.bricks[row[mixed], x[mixed] % BRICK, y[mixed] % BRICK, z[mixed] % BRICK]
         return occupied & inside
 
+    def without(self, voxels: np.ndarray) -> SparseVolume:
+        """Return the volume less the voxels with the (n, 3) integer indices, all of which lie in the grid."""
+        x, y, z = np.asarray(voxels).T
+        brick_map = self.brick_map.copy()
+        broken = np.zeros(brick_map.shape, bool)  # full bricks that lose a voxel
+        broken[x // BRICK, y // BRICK, z // BRICK] = True
+        broken &= brick_map == FULL
+        brick_map[broken] = len(self.bricks) + np.arange(np.count_nonzero(broken), dtype=np.int32)
+        bricks = np.concatenate((self.bricks, np.ones((np.count_nonzero(broken), BRICK, BRICK, BRICK), bool)))
+        row = brick_map[x // BRICK, y // BRICK, z // BRICK]
+        inside = row >= 0
+        bricks[row[inside], x[inside] % BRICK, y[inside] % BRICK, z[inside] % BRICK] = False
+        return SparseVolume(self.grid, brick_map, bricks)
+
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the lowest and the highest occupied voxel index, or None if there is none."""
         if not self.count():

@@ -1,0 +1,336 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The virtual light image: how far the object cannot stand in a light's rays, given one view of its shadow.
+
+A light is taken for the centre of a virtual camera (Savarese, Andreetto, Rushmeier, Bernardini & Perona, 2007). R is a
+volume that holds the object. The rule below says how far the light's rays are free of the object where they enter R.
+
+The rule
+--------
+A point of R is *free* of the object if its pixel lies in the light's shadow and all of R in front of it is free: on its way
+to the camera, and on its way to the light. The largest set of points of which this can be said is removed.
+
+Why it is safe: suppose that the set held a part of the object. All that could hide a point of that part from the camera or
+from the light belongs to the set as well. Work in the plane through the camera's centre, the light and such a part; take
+the light ray nearest to the camera that meets one, and its first point u there. Nothing before u stops the light: u is lit.
+What hides u from the camera would be of the object, on a light ray nearer still. So the camera sees u, lit, at a pixel that
+shows shadow: a contradiction. Fewer shadow pixels, as of a shadow that was not found, make the set smaller.
+
+The set is found from above. At first the rays of the light are free as far as their pixels show shadow; then the camera's
+rays are followed through what is free, which shortens those of the light, until nothing changes. The lecture's sentence "a
+voxel that lies in the shadow's image and in the virtual shadow's image is not part of the object", coded with two masks,
+forgets what stands in front, and removes parts of the object. ``safe`` follows a light ray whose first point the camera
+sees as long as its pixels show shadow: where two blockers leave a slit, through which the light meets a face that the camera
+does not see, all that the camera does see may lie in shadow, and the face is cut (tests/.../test_shadow_carving.py).
+
+What is sampled: R exactly at the centres of the pixels of both images (see `item_buffer`), and shadow at the camera's. A step
+along a ray moves its pixel by less than one, and shadows are narrowed by a pixel beforehand. A ray may go one voxel beyond
+what is free where it meets another's end, so that the samples of one surface do not stop each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ...errors import ScanstageError
+from ..geometry import Camera, VoxelGrid, distort, look_at
+from .item_buffer import item_buffer, pixel_rays
+from .surface import Surface
+
+PIXELS_PER_VOXEL = 1.5
+_LARGEST_SIDE = 4096  # pixels of a virtual light image
+_WIDEST = 4.0  # tangent of the widest angle off a virtual light image's axis
+_FARTHEST = 1e4  # a sun stands so many diagonals of the volume away
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """What one camera, or light, sees of a volume's surface.
+
+    Parameters
+    ----------
+    camera : Camera
+        In the object frame.
+    items : (height, width) int32 array
+        The surface voxel that each pixel sees, -1 for none.
+    depth : (height, width) float32 array
+        How far it is along the camera's axis, infinite for none.
+    voxels : (s,) bool array
+        Whether some pixel sees the surface voxel.
+    """
+
+    camera: Camera
+    items: np.ndarray
+    depth: np.ndarray
+    voxels: np.ndarray
+
+    @classmethod
+    def of(cls, surface: Surface, grid: VoxelGrid, camera: Camera) -> SeenSurface:
+        """Look at a surface."""
+        items, depth = item_buffer(surface, grid, camera)
+        voxels = np.zeros(len(surface.voxels), bool)
+        voxels[items[items >= 0]] = True
+        return cls(camera, items, depth, voxels)
+
+
+@dataclass(frozen=True)
+class VirtualLight:
+    """A light as the centre of a camera.
+
+    Parameters
+    ----------
+    camera : Camera
+        Without distortion, in the object frame.
+    radius : int
+        Pixels from a voxel's centre to the farthest pixel whose ray can meet the voxel.
+    half_edge, half_depth : float
+        Half of a voxel's edge, and of its extent along the camera's axis.
+    """
+
+    camera: Camera
+    radius: int
+    half_edge: float
+    half_depth: float
+
+    @classmethod
+    def of(cls, position: np.ndarray, box: np.ndarray, voxel_size: float, name: str) -> VirtualLight:
+        """Let a light look at a box with about `PIXELS_PER_VOXEL`.
+
+        Parameters
+        ----------
+        position : (3,) array
+            The light's, in the object frame.
+        box : (2, 3) array
+            What the image must hold.
+        voxel_size : float
+        name : str
+            The light's, for error messages.
+
+        Raises
+        ------
+        ScanstageError
+            The light is inside the box, or so near that no image holds all of it.
+        """
+        if ((position >= box[0]) & (position <= box[1])).all():
+            raise ScanstageError(f"{name}: stands inside the volume that may hold the object; correct its position, or give tighter "
+                                 "--bounds")
+        middle = box.mean(axis=0)
+        towards = middle - position
+        R, t = look_at(position, middle, np.eye(3)[np.abs(towards).argmin()])
+        corners = np.array(np.meshgrid(*box.T)).reshape(3, -1).T @ R.T + t
+        slopes = corners[:, :2] / np.maximum(corners[:, 2:], 1e-12)
+        if (corners[:, 2] <= 0).any() or np.abs(slopes).max() > _WIDEST:
+            raise ScanstageError(f"{name}: stands too near the volume that may hold the object for its shadows to be used; check its "
+                                 "position, or give tighter --bounds")
+        low, high = slopes.min(axis=0), slopes.max(axis=0)
+        focal = min(PIXELS_PER_VOXEL * np.linalg.norm(towards) / voxel_size, _LARGEST_SIDE / (high - low).max())
+        first = np.floor(low * focal) - 1
+        camera = Camera([[focal, 0, -first[0]], [0, focal, -first[1]], [0, 0, 1]], R, t, np.ceil(high * focal) + 2 - first)
+        # A cube's corner moves a pixel coordinate x / z by |dx - (x / z) dz| / z at most.
+        axes, half_depth = np.abs(R), voxel_size / 2 * np.abs(R[2]).sum()
+        spread = (axes[:2] + np.abs(slopes).max(axis=0)[:, None] * axes[2]).sum(axis=1).max() * voxel_size / 2
+        radius = int(np.ceil(focal * spread / (corners[:, 2].min() - half_depth) + 0.5))
+        return cls(camera, radius, voxel_size / 2, half_depth)
+
+
+def distant(direction: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Return a (3,) position from which a sun's parallel rays all but come; ``direction`` is that in which it shines."""
+    return box.mean(axis=0) - _FARTHEST * np.linalg.norm(box[1] - box[0]) * np.asarray(direction) / np.linalg.norm(direction)
+
+
+def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, voxel_size: float, *, strict: bool = True) -> np.ndarray:
+    """Return up to which depth the light's rays are free of the object.
+
+    Parameters
+    ----------
+    view, light : SeenSurface
+        The same surface seen by the camera and by the light.
+    shadow : (height, width) bool array
+        The camera's pixels that lie in the light's shadow, and surely do.
+    voxel_size : float
+    strict : bool
+        Whether the rule is the one above; otherwise ``safe``.
+
+    Returns
+    -------
+    (h, w) float32 array
+        Per pixel of the virtual light image: at least the depth at which the volume begins.
+    """
+    shaded = shadow & (view.items >= 0)
+    rays = np.flatnonzero((light.items >= 0) & (strict | view.voxels.take(light.items, mode="clip")))
+    out = _Paths.follow(light.camera, rays, light.depth.ravel().take(rays), view.camera, np.where(shaded, np.inf, -np.inf), voxel_size)
+    free = light.depth.copy()
+    if not len(out.rays):
+        return free
+    free.ravel()[out.rays] = out.last
+    if not strict:
+        return free
+    asked = np.unique(out.pixels)
+    back = _Paths.follow(view.camera, asked, view.depth.ravel().take(asked), light.camera, free + voxel_size, voxel_size)
+    # From above: at first all that lies in shadow counts as free, then ever less, until nothing contradicts anything.
+    blocked = np.full(view.depth.shape, -np.inf, np.float32)
+    while True:
+        blocked.ravel()[back.rays] = back.reached(free + voxel_size) + voxel_size
+        before = free.ravel().take(out.rays)
+        free.ravel()[out.rays] = out.reached(blocked)
+        if np.array_equal(before, free.ravel().take(out.rays)):
+            return free
+
+
+@dataclass(frozen=True)
+class _Paths:
+    """Rays of one camera through the picture of another.
+
+    Parameters
+    ----------
+    rays : (n,) int array
+        Flat pixels of the one camera, whose rays these are.
+    start : (n,) float32 array
+        The depth, along its axis, at which each begins.
+    first : (n,) int array
+        Of each ray the number of its first step; they lie one after another.
+    own : (m,) float32 array
+        The depth of each step along the one camera's axis.
+    pixels : (m,) int array
+        Which pixel, flat, of the other camera it falls on.
+    depth : (m,) float32 array
+        Its depth along the other camera's axis.
+    """
+
+    rays: np.ndarray
+    start: np.ndarray
+    first: np.ndarray
+    own: np.ndarray
+    pixels: np.ndarray
+    depth: np.ndarray
+
+    @classmethod
+    def follow(cls, camera: Camera, rays: np.ndarray, start: np.ndarray, other: Camera, limit: np.ndarray, voxel_size: float) -> _Paths:
+        """Follow rays as long as the other camera has them no deeper than a limit, in steps of less than a pixel and half a voxel.
+
+        Parameters
+        ----------
+        camera : Camera
+        rays : (n,) int array
+            Flat pixels. A ray whose first step is beyond the limit has no path.
+        start : (n,) float array
+        other : Camera
+        limit : (h, w) float array
+            Per pixel of the other camera. Beyond its picture no ray is followed.
+        voxel_size : float
+        """
+        way = pixel_rays(camera, rays) @ other.R.T
+        eye = other.R @ camera.centre + other.t  # in the other camera's frame a ray's points are eye + own depth * way
+        # From one of them to another the pixel coordinate f x / z moves by f (x z' - x' z) / (z z'), and x z' - x' z is the
+        # difference of their depths times a number of the ray's own.
+        turn = np.abs(np.cross(way, eye)[:, :2]).max(axis=1) * max(other.K[0, 0] + abs(other.K[0, 1]), other.K[1, 1])
+        stride = 0.5 if other.distorted else 0.95  # pixels; a lens may stretch the picture
+        row, own, steps = np.arange(len(rays)), start.astype(np.float64), []
+        while len(row):
+            points = eye + own[:, None] * way
+            pixels, inside = _pixels_of(other, points)
+            here = np.flatnonzero(inside & (points[:, 2] <= limit.ravel().take(pixels)))
+            row, way, own, turn, z = row.take(here), way.take(here, axis=0), own.take(here), turn.take(here), points[here, 2]
+            steps.append((row, own.astype(np.float32), pixels.take(here), z.astype(np.float32)))
+            own = own + np.minimum(voxel_size / 2, stride * z ** 2 / np.maximum(turn - stride * z * way[:, 2], 1e-30))
+        owner, own, pixels, depth = (np.concatenate(part) for part in zip(*steps, strict=True)) if steps else (np.zeros(0, int),) * 4
+        order = np.argsort(owner, kind="stable")
+        first = np.flatnonzero(np.diff(owner[order], prepend=-1))
+        kept = owner[order][first]
+        return cls(rays[kept], start[kept].astype(np.float32), first, own[order], pixels[order], depth[order])
+
+    @property
+    def last(self) -> np.ndarray:
+        """The (n,) depths at which the paths end, of which there is one at least."""
+        return self.own[np.append(self.first[1:], len(self.own)) - 1]
+
+    def reached(self, limit: np.ndarray) -> np.ndarray:
+        """Return the (n,) depths of the last steps before one that is beyond the limit; where the first is, the start."""
+        if not len(self.rays):
+            return self.start
+        step = np.arange(len(self.own))
+        beyond = np.minimum.reduceat(np.where(self.depth <= limit.ravel().take(self.pixels), len(step), step), self.first)
+        end = np.minimum(beyond, np.append(self.first[1:], len(step)))
+        return np.where(end > self.first, self.own.take(np.maximum(end - 1, 0)), self.start)
+
+
+def _pixels_of(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the flat pixels (n,) of points (n, 3) in a camera's frame, and whether they lie before it and in its picture."""
+    z = points[:, 2]
+    ahead = z > 0
+    x, y = (points[:, :2] / np.where(ahead, z, 1.0)[:, None]).T
+    if camera.distorted:
+        x, y = distort(np.stack((x, y), axis=-1), camera.distortion).T
+    K, (width, height) = camera.K, camera.size
+    column, row = np.rint(K[0, 0] * x + K[0, 1] * y + K[0, 2]), np.rint(K[1, 1] * y + K[1, 2])
+    inside = ahead & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    return np.where(inside, row * width + column, 0).astype(np.intp), inside
+
+
+def freed_points(free: np.ndarray, light: SeenSurface, spacing: float) -> np.ndarray:
+    """Return points (n, 3), in the object frame, along what the rays gained beyond their first hits, ``spacing`` apart in depth."""
+    first = light.depth.ravel()
+    gained = np.flatnonzero(free.ravel() > first)
+    count = np.floor((free.ravel().take(gained) - first.take(gained)) / spacing).astype(np.int64) + 1
+    ray = np.repeat(np.arange(len(gained)), count)
+    number = np.arange(len(ray)) - np.repeat(np.cumsum(count) - count, count)
+    row, column = np.divmod(gained, light.camera.size[0])
+    rays = light.camera.rays(np.column_stack((column, row)))
+    depth = first.take(gained).take(ray).astype(np.float64) + number * spacing
+    return light.camera.centre + depth[:, None] * rays.take(ray, axis=0)
+
+
+def wholly_free(free: np.ndarray, light: VirtualLight, centres: np.ndarray) -> np.ndarray:
+    """Return (n,) bool: whether every ray through a voxel is free to beyond it.
+
+    The rays are those through the pixels' centres; the voxel is grown by half the distance between them, so that each of
+    its points has a ray beside it that is asked.
+
+    Parameters
+    ----------
+    free : (h, w) float32 array
+        From `free_depth`.
+    light : VirtualLight
+    centres : (n, 3) array
+        The voxels'.
+    """
+    pixels, depth = light.camera.project(centres)
+    nearest = np.rint(pixels).astype(np.intp)
+    # Most voxels are decided by the least and by the greatest depth about them; the others ask their rays one by one.
+    kernel = np.ones((2 * light.radius + 1,) * 2, np.uint8)
+    column, row = nearest.T
+    whole = cv2.erode(free, kernel, borderType=cv2.BORDER_REPLICATE)[row, column] > depth + light.half_depth
+    rows = np.flatnonzero(~whole & (free[row, column] > depth - light.half_depth))
+    whole[rows] = _rays_are_free(free, light, centres[rows], nearest[rows], depth[rows])
+    return whole
+
+
+def _rays_are_free(free: np.ndarray, light: VirtualLight, centres: np.ndarray, nearest: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Return whether the rays that meet voxels, within the light's radius of their ``nearest`` pixels (n, 2), are free to behind them."""
+    way = np.linalg.inv(light.camera.K @ light.camera.R)  # of a pixel (u, v, 1)
+    offset = (centres - light.camera.centre).T
+    half = light.half_edge + 0.5 * depth / light.camera.K[0, 0]
+    rows = np.arange(len(centres))
+    for dv, du in _nearest_first(light.radius):
+        column, row = nearest[rows, 0] + du, nearest[rows, 1] + dv
+        first, last = np.full(len(rows), -np.inf), np.full(len(rows), np.inf)
+        for axis in range(3):
+            along = way[axis, 0] * column + way[axis, 1] * row + way[axis, 2]
+            along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+            middle, spread = offset[axis, rows] / along, half[rows] / np.abs(along)
+            first, last = np.maximum(first, middle - spread), np.minimum(last, middle + spread)
+        inside = (column >= 0) & (row >= 0) & (column < free.shape[1]) & (row < free.shape[0])
+        reach = free[np.where(inside, row, 0), np.where(inside, column, 0)]
+        rows = rows[(first > last) | (reach > last) | ~inside]
+    whole = np.zeros(len(centres), bool)
+    whole[rows] = True
+    return whole
+
+
+def _nearest_first(radius: int) -> list[tuple[int, int]]:
+    """Return the offsets of a square of pixels about its middle, from there outward: what fails soon is asked no more."""
+    side = range(-radius, radius + 1)
+    return sorted(((dv, du) for dv in side for du in side), key=lambda at: at[0] ** 2 + at[1] ** 2)

@@ -1,0 +1,234 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Shadow carving: the visual hull, less what the shadows of an array of lights prove to be empty.
+
+Silhouettes never show a concavity; the shadows that fall into it do (Savarese, Andreetto, Rushmeier, Bernardini & Perona,
+"3D Reconstruction by Shadow Carving: Theory and Practical Evaluation", IJCV 71(3), 2007). `light_image` has the rule and
+its proof.
+
+Each pass judges every view and light on the same volume and removes afterwards, so that their order plays no part; passes
+repeat until nothing changes, since what one light has opened another may see into. A voxel goes only if all rays through
+it are free to beyond it: what is left holds the object whole, which the next pass relies on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from ...errors import ScanstageError
+from ...options import Option, Value
+from ...progress import Progress, part_of, silent
+from ..geometry import Light, VoxelGrid
+from ..outcome import Outcome, VoxelLayer
+from ..scan import Scan, View
+from . import visual_hull as hull
+from .light_image import SeenSurface, VirtualLight, distant, free_depth, freed_points, wholly_free
+from .surface import Surface, extract_surface
+from .volume import SparseVolume
+
+OPTIONS = (
+    Option("shadow_rule", "strict", "When a ray of light is free behind its first hit", choices={
+        "strict": "as long as its pixels lie in shadow and nothing but free rays is before it: proven to keep the object whole",
+        "safe": "as long as its pixels lie in shadow, from a point that the camera sees: may cut an object with gaps that light "
+                "shines through"}),
+    Option("passes", 8, "The most rounds over all views and lights; they end before when nothing more can be carved",
+           minimum=1, maximum=100),
+    *(option for option in hull.OPTIONS if option.name != "rule"),
+)
+
+
+_MOST_PICTURES = 8  # of virtual light images
+_SPACING = 0.5  # voxels between the points at which a ray looks for voxels to remove
+
+
+def working_bounds(scan: Scan, *, tolerance: int, outside: str, **_: Value) -> np.ndarray:
+    """Return the (2, 3) working volume: that of the hull."""
+    return hull.working_bounds(scan, rule="conservative", tolerance=tolerance, outside=outside)
+
+
+def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", passes: int = 8, tolerance: int = 0,
+                   outside: str = "unknown", progress: Progress = silent) -> Outcome:
+    """Carve the visual hull of a scan, then what its shadows prove to be empty.
+
+    Parameters
+    ----------
+    scan : Scan
+        Every view with a mask; those with pictures under single lights also with their shadows.
+    grid : VoxelGrid
+    shadow_rule : {'strict', 'safe'}
+    passes : int
+        The most rounds over all views and lights.
+    tolerance, outside
+        Of the hull, see `visual_hull.visual_hull`.
+
+    Returns
+    -------
+    Outcome
+        Its layer ``carved`` holds the voxels that shadows removed: the ``view`` and the ``light`` whose shadow was the
+        first to (numbers in the report's lists ``carved_by``), and in which ``round``. Its pictures are the virtual light
+        images of the first view.
+
+    Raises
+    ------
+    ScanstageError
+        The capture has no frames under single lights, a light is never on, stands in or too near the hull or is of a kind
+        that cannot be used, or no shadow is seen.
+    """
+    check_lights(scan)
+    found = hull.visual_hull(scan, grid, rule="conservative", tolerance=tolerance, outside=outside, progress=part_of(progress, 0, 0.1))
+    lights = list(dict.fromkeys(lit.light_id for view in scan.views for lit in view.lit))
+    volume, rounds, pictures = found.volume, [], {}
+    for number in range(passes):
+        share = 0.1 + 0.9 * (1 - 0.5 ** number)  # most is done in the first rounds, and how many there will be is not known
+        sight = Sight.of(volume, strict=shadow_rule == "strict")
+        removals = list(sight.removals(scan.views, part_of(progress, share, (share + 1) / 2)))
+        rounds.append(_layer(removals, number, lights))
+        pictures = pictures or sight.pictures(scan.views, lights)
+        volume = volume.without(rounds[-1].voxels)
+        if not len(rounds[-1].voxels):
+            break
+    carved = VoxelLayer(np.concatenate([part.voxels for part in rounds]),
+                        {name: np.concatenate([part.values[name] for part in rounds]) for name in rounds[0].values})
+    counts = {**found.report["counts"], "hull": found.volume.count(), "carved": len(carved.voxels), "rounds": len(rounds)}
+    progress(1.0, "Carved by shadows")
+    return Outcome(volume, {"counts": counts, "carved_by": {"views": [view.name for view in scan.views], "lights": lights},
+                            "warnings": found.report["warnings"] + _warnings(scan)}, layers={"carved": carved}, pictures=pictures)
+
+
+def check_lights(scan: Scan) -> None:
+    """Refuse a scan whose lights cannot be used, in one sentence.
+
+    Raises
+    ------
+    ScanstageError
+        See `shadow_carving`.
+    """
+    lit = [(view, picture) for view in scan.views for picture in view.lit]
+    if scan.unused_lights:
+        raise ScanstageError(f"{scan.unused_lights[0]}: is on in no frame; capture frames under it alone, or remove it from devices.lights")
+    if not lit:
+        raise ScanstageError("the capture has no frame that a single light lights alone: shadow carving needs, for each pose, one under "
+                             "each light of an array and one under all, as the rig shadow-array takes them")
+    for view, picture in lit:
+        if picture.light.kind not in ("point", "sun"):
+            raise ScanstageError(f"{picture.light_id}: is a {picture.light.kind} light, and the edge of its cone would be taken for a "
+                                 "shadow; use a point light")
+        if view.shadows is None:
+            raise ScanstageError(f"frame {view.name} has no shadow masks: find them with detect_shadows first")
+    if not any(view.shadows.bits.any() for view, _ in lit):
+        raise ScanstageError("no shadow is seen in any frame: the lights stand behind the camera or too near its axis, or --set "
+                             "shadow_ratio or lit_level leaves none; spread the lights 20 to 45 degrees about the camera")
+
+
+def _warnings(scan: Scan) -> list[str]:
+    """Return what a user should know about the lights, one sentence each."""
+    lit = [view for view in scan.views if view.lit]
+    warnings = []
+    if len(lit) < len(scan.views):
+        without = next(view.name for view in scan.views if not view.lit)
+        warnings.append(f"{len(scan.views) - len(lit)} of {len(scan.views)} views have no frame under a single light (first: {without}): "
+                        "they give a silhouette only")
+    seen = {picture.light_id: False for view in lit for picture in view.lit}
+    for view in lit:
+        for number, picture in enumerate(view.lit):
+            seen[picture.light_id] |= bool(view.shadows.of(number).any())
+    if dark := [light for light, some in seen.items() if not some]:
+        warnings.append(f"{', '.join(dark)}: no frame shows a shadow of it; it stands too near the camera's axis, or other light reaches "
+                        "its shadows")
+    return warnings
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A volume as cameras and lights see it for one round.
+
+    Parameters
+    ----------
+    volume : SparseVolume
+    surface : Surface
+        Of the volume.
+    box : (2, 3) array
+        Round the volume, in the object frame.
+    strict : bool
+    """
+
+    volume: SparseVolume
+    surface: Surface
+    box: np.ndarray
+    strict: bool
+
+    @classmethod
+    def of(cls, volume: SparseVolume, *, strict: bool) -> Sight:
+        lower, upper = volume.bounds()
+        grid = volume.grid
+        box = np.stack((grid.origin + grid.voxel_size * lower, grid.origin + grid.voxel_size * (upper + 1)))
+        return cls(volume, extract_surface(volume), box, strict)
+
+    def removals(self, views: Sequence[View], progress: Progress) -> Iterator[tuple[int, str, np.ndarray]]:
+        """Yield the number of a view, a light's id and the (n, 3) voxels that no earlier ones removed."""
+        remaining = self.volume
+        for number, view in enumerate(views):
+            progress(number / len(views), f"Carving by the shadows of frame {view.name}")
+            for light_id, light, lit, free in self.free_depths(view):
+                voxels = _free_voxels(remaining, free, light, lit)
+                remaining = remaining.without(voxels)
+                yield number, light_id, voxels
+
+    def free_depths(self, view: View) -> Iterator[tuple[str, VirtualLight, SeenSurface, np.ndarray]]:
+        """Yield each light of a view that casts a shadow, what it sees, and how far its rays are free."""
+        grid = self.volume.grid
+        seen = None
+        for number, picture in enumerate(view.lit):
+            shadow = view.shadows.of(number)
+            if not shadow.any():
+                continue
+            light = VirtualLight.of(_position(picture.light, self.box), self.box, grid.voxel_size, picture.light_id)
+            seen = seen or SeenSurface.of(self.surface, grid, view.camera)
+            lit = SeenSurface.of(self.surface, grid, light.camera)
+            yield picture.light_id, light, lit, free_depth(seen, lit, shadow, grid.voxel_size, strict=self.strict)
+
+    def pictures(self, views: Sequence[View], lights: Sequence[str]) -> dict[str, np.ndarray]:
+        """Return the virtual light images of the first view with lights, to be looked at."""
+        view = next(view for view in views if view.lit)
+        found = self.free_depths(view)
+        return {f"light-image-{light_id}": _picture(lit.depth, free) for light_id, _, lit, free in islice(found, _MOST_PICTURES)}
+
+
+def _position(light: Light, box: np.ndarray) -> np.ndarray:
+    return distant(light.direction, box) if light.kind == "sun" else light.position
+
+
+def _free_voxels(volume: SparseVolume, free: np.ndarray, light: VirtualLight, lit: SeenSurface) -> np.ndarray:
+    """Return the (n, 3) voxels of a volume that lie in the part of a light's rays that is free, whole."""
+    grid = volume.grid
+    points = freed_points(free, lit, _SPACING * grid.voxel_size)
+    voxels = np.floor((points - grid.origin) / grid.voxel_size).astype(np.int64)
+    voxels = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
+    flat = np.unique(np.ravel_multi_index(tuple(voxels.T), grid.shape))
+    voxels = np.column_stack(np.unravel_index(flat, grid.shape))
+    voxels = voxels[volume.contains(voxels)]
+    return voxels[wholly_free(free, light, grid.centres(voxels))]
+
+
+def _layer(removals: Sequence[tuple[int, str, np.ndarray]], number: int, lights: Sequence[str]) -> VoxelLayer:
+    """Return what one round removed, and who did."""
+    count = [len(voxels) for _, _, voxels in removals]
+    voxels = np.concatenate([np.zeros((0, 3), np.int32), *(voxels.astype(np.int32) for _, _, voxels in removals)])
+    return VoxelLayer(voxels, {"view": np.repeat([view for view, _, _ in removals], count).astype(np.uint16),
+                               "light": np.repeat([lights.index(light) for _, light, _ in removals], count).astype(np.uint16),
+                               "round": np.full(len(voxels), number, np.uint16)})
+
+
+def _picture(depth: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return a virtual light image to be looked at: near is bright, and orange what the shadow shows to be empty."""
+    seen = np.isfinite(depth)
+    near, far = (float(depth[seen].min()), float(depth[seen].max())) if seen.any() else (0.0, 1.0)
+    grey = np.where(seen, 230 - 170 * (np.where(seen, depth, near) - near) / max(far - near, 1e-12), 20)
+    picture = np.repeat(grey[..., None], 3, axis=2)
+    gained = seen & (free > depth)
+    picture[gained] *= (1.0, 0.55, 0.15)
+    return picture.astype(np.uint8)
