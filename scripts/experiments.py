@@ -36,6 +36,11 @@ def perform(name, out, bar):
     if name != "all" and name not in EXPERIMENTS:
         print(f"experiments: error: there is no experiment {name!r}; they are: {', '.join(EXPERIMENTS)}, all", file=sys.stderr)
         return 2
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        print(f"experiments: error: --out: {out} cannot be made a folder ({error.strerror}); choose another", file=sys.stderr)
+        return 1
     for experiment in EXPERIMENTS.values() if name == "all" else [EXPERIMENTS[name]]:
         table = experiment.run(out, session.told(bar, experiment.name))
         bar.close()

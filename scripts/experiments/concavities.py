@@ -16,6 +16,7 @@ from .stage import MM, VIEWS, captured
 
 VOXELS = 192
 OUTER = 0.13  # metres: farther from the object's middle than any of its parts
+LOW, HIGH = -0.06, 0.22  # metres: what of the section is drawn
 _STEPS = 4  # samples in a voxel, along an axis
 
 
@@ -79,9 +80,9 @@ def depths(concavity, truth, true_volume, hull):
 def section(concavity, volume, samples=400):
     """Return (samples, samples) bool, the cut through a volume along a concavity's axis and the vertical, and its extent in mm."""
     a = np.radians(concavity.azimuth)
-    across, up = np.meshgrid(np.linspace(-OUTER, OUTER, samples), np.linspace(-0.03, 0.23, samples))
+    across, up = np.meshgrid(np.linspace(-OUTER, OUTER, samples), np.linspace(LOW, HIGH, samples))
     points = np.stack((across * np.cos(a), across * np.sin(a), up), -1)
-    return occupied(volume, points), MM * np.array([-OUTER, OUTER, -0.03, 0.23])
+    return occupied(volume, points), MM * np.array([-OUTER, OUTER, LOW, HIGH])
 
 
 def run(out, progress):
@@ -102,8 +103,8 @@ def run(out, progress):
 
 def tabulate(rows):
     note = (f"{VIEWS} views in one ring at 20 degrees, {VOXELS} voxels, conservative rule (which adds up to a voxel). Depth is below the "
-            "plane that closes the mouth, along the concavity's axis. Where the hull rises higher above the truth than the concavity is "
-            "deep, it bulges out of the mouth: no camera of the ring looks along the mouth's plane.")
+            "plane that closes the mouth, along the concavity's axis. Where the hull rises above the truth by clearly more than "
+            "the depth, it bulges out of the mouth: no camera of the ring looks along the mouth's plane.")
     return Table(("object", "concavity", "depth, mm", "hull above the truth, mm", "depth that the hull shows, mm"), tuple(rows), note)
 
 

@@ -88,6 +88,8 @@ def run(out, progress):
             growth = f": $\\sim N^{{{slope(n, cost):.1f}}}$" if quantity == "tests" else ""
             axes.loglog(n, cost, color=color, marker=marker, label=kind + growth)
         drawing.plain_numbers(axes.xaxis, SIZES)
+        if quantity == "seconds":
+            drawing.plain_numbers(axes.yaxis, (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10))
         axes.set(xlabel="N, voxels a side", title=f"{quantity.capitalize()} against N, {VIEWS} views", ylabel=quantity)
         axes.legend(loc="upper left")
     drawing.save(figure, out, EXPERIMENT.name)

@@ -3,9 +3,12 @@
 """One look for all pictures: colours that colour-blind readers tell apart (Okabe & Ito, 2008), few lines, small files."""
 
 import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from PIL import Image
 
 TRUTH, HULL, BLUE, GREEN, PINK, GREY = "#333333", "#E69F00", "#0072B2", "#009E73", "#CC79A7", "#999999"
 PALE_HULL = "#F8DCA3"
@@ -44,7 +47,8 @@ def show(axes, codes, colors, extent):
     extent : (x0, x1, y0, y1)
         Of the array in the axes' unit.
     """
-    axes.imshow(codes, cmap=ListedColormap(colors), vmin=0, vmax=len(colors) - 1, extent=extent, origin="lower", interpolation="nearest")
+    axes.imshow(codes, cmap=ListedColormap(colors), vmin=0, vmax=len(colors) - 1, extent=extent, origin="lower",
+                interpolation="auto", interpolation_stage="rgba")
     axes.grid(False)
 
 
@@ -55,6 +59,8 @@ def key(figure, **colors):
 
 
 def save(figure, out, name):
-    """Write the picture of an experiment."""
-    out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / f"{name}.png", pil_kwargs={"optimize": True})
+    """Write the picture of an experiment, in 256 colours."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    picture.quantize(256, dither=Image.Dither.NONE).save(out / f"{name}.png", optimize=True)

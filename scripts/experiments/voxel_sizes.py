@@ -60,7 +60,7 @@ def run(out, progress):
     scan, truth = captured(out, OBJECT, progress)
     table, found = measure(thinned(scan, VIEWS), truth, SIZES, progress)
     fine = found[min(SIZES)].volume.grid
-    figure, axes = drawing.panels(900, 330, 1, len(SIZES) + 1)
+    figure, axes = drawing.panels(900, 290, 1, len(SIZES) + 1)
     truth_surface = extract_surface(inside(truth, fine))
     pictures = {f"truth, in {min(SIZES)} mm voxels": render_preview(truth_surface, fine, size=(600, 500))}
     for (size, result), excess in zip(found.items(), table.column("excess"), strict=True):

@@ -194,11 +194,10 @@ def test_the_depth_of_a_concavity_is_measured_from_its_mouth():
     assert depth == pytest.approx(80, abs=2) and above == pytest.approx(60, abs=2) and shown == pytest.approx(20, abs=2)
     cut, extent = concavities.section(concavity, true)
     left, right, low, high = extent
-    # Of the section, the half disc above z = -30 mm less the pit.
-    half_disc = np.pi * 100 ** 2 - (100 ** 2 * np.arccos(0.3) - 30 * np.sqrt(100 ** 2 - 30 ** 2))
-    rim = np.sqrt(100 ** 2 - 30 ** 2)
-    pit_area = 100 ** 2 * np.arcsin(0.3) + 30 * rim - 2 * 30 * 20
-    assert cut.mean() * (right - left) * (high - low) == pytest.approx(half_disc - pit_area, rel=0.02)
+    # The disc of the section, less the segment that is not drawn, less the pit: 60 mm wide, from 20 mm to the circle.
+    segment = 100 ** 2 * np.arccos(0.6) - 60 * np.sqrt(100 ** 2 - 60 ** 2)
+    hollow = 100 ** 2 * np.arcsin(0.3) + 30 * np.sqrt(100 ** 2 - 30 ** 2) - 60 * 20
+    assert low == -60 and cut.mean() * (right - left) * (high - low) == pytest.approx(np.pi * 100 ** 2 - segment - hollow, rel=0.02)
 
 
 # --- tables and the script -------------------------------------------------------------------------------------------------
