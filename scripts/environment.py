@@ -51,15 +51,15 @@ def interpreters():
     return found
 
 
-def prepare(python=sys.executable, development=False, say=lambda line: print(line, file=sys.stderr)):
+def prepare(python=sys.executable, extras=(), say=lambda line: print(line, file=sys.stderr)):
     """Make the environment of one interpreter, unless it is there and up to date.
 
     Parameters
     ----------
     python : path
         An interpreter of one of the versions in `BLENDERS`.
-    development : bool
-        Whether to install what the tests need, too.
+    extras : sequence of {'development', 'experiments'}
+        What to install besides Blender: what the tests need, what the experiments draw with.
     say : callable
         Takes one line of progress.
 
@@ -79,8 +79,17 @@ def prepare(python=sys.executable, development=False, say=lambda line: print(lin
         raise SetupError("Scanstage needs Python 3.13 (it then uses Blender 5.2 LTS) or Python 3.11 (Blender 4.5 LTS), "
                                 "not %s: run this script with one of them, for example python3.13" % found)
     _require_system_libraries()
-    files = [REQUIREMENTS / ("blender-%s.txt" % BLENDERS[version])] + [REQUIREMENTS / "development.txt"] * development
+    files = [REQUIREMENTS / ("blender-%s.txt" % BLENDERS[version])] + [REQUIREMENTS / (extra + ".txt") for extra in extras]
     return _environment(python, "blender-" + BLENDERS[version], files, say)
+
+
+def run_again(script, extras=()):
+    """Run a script with the same arguments in its environment, made first if needed; return its exit status. See `prepare`."""
+    command = [str(prepare(extras=extras)), str(Path(script).resolve()), *sys.argv[1:]]
+    if os.name == "posix":
+        sys.stderr.flush()
+        os.execv(command[0], command)
+    return subprocess.call(command)
 
 
 def prepare_benchmark(say=lambda line: print(line, file=sys.stderr)):

@@ -11,15 +11,15 @@ SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own 
 """
 
 import argparse
-import importlib.util
 import os
-import shutil
 import sys
 import tempfile
 from pathlib import Path
 
-import environment
-import scanstage
+import session
+from session import told
+from tables import head, line
+from turntable_captures import rendered, thinned
 
 ROOT = Path(__file__).resolve().parents[1]
 VIEWS = (8, 24, 72)
@@ -35,40 +35,13 @@ def main():
     tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs]}
     parser.add_argument("table", nargs="?", choices=tables, default="both")
     call = parser.parse_args()
-    if importlib.util.find_spec("bpy") is None:
-        return run_in_environment()
-    scanstage.load("addon", ROOT / "addon" / "__init__.py")
-    import bpy  # before OpenCV: both bring libraries of their own
-
-    from addon.cli.progress_bar import ProgressBar
-    from addon.errors import ScanstageError
-
-    print(f"Blender {bpy.app.version_string}", file=sys.stderr)
-    bar = ProgressBar()
-    try:
-        return int(sum(print_table(bar) for print_table in tables[call.table]) > 0)
-    except ScanstageError as error:
-        bar.close()
-        print(f"figures: error: {error}", file=sys.stderr)
-        return 1
-    finally:
-        shutil.rmtree(bpy.app.tempdir, ignore_errors=True)  # Blender's own, which the end below would leave behind
-
-
-def run_in_environment():
-    try:
-        command = [str(environment.prepare()), str(Path(__file__).resolve()), *sys.argv[1:]]
-    except environment.SetupError as error:
-        print(f"figures: error: {error}", file=sys.stderr)
-        return 1
-    os.execv(command[0], command)
+    return session.run(__file__, lambda bar: int(sum(print_table(bar) for print_table in tables[call.table]) > 0))
 
 
 def objects(bar):
     """Print the table of the built-in objects, carved conservatively; return how many rows lost voxels of the truth."""
     from addon.reconstruction import methods
     from addon.reconstruction.evaluation.measures import volume_measures
-    from addon.reconstruction.scan import Scan
     from addon.stage.objects import BUILTINS
 
     keys = "truth_voxels_removed", "excess", "loss", "iou"
@@ -76,33 +49,14 @@ def objects(bar):
     missed = 0
     for name in BUILTINS:
         with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
-            scan, truth = rendered(name, Path(folder), told(bar, name))
-            for views in VIEWS:  # the poses of a turn in 72 steps hold those of one in 24 and in 8
-                part = Scan(scan.views[::len(scan.views) // views])
-                found = methods.reconstruct(part, "visual-hull", voxels=OBJECT_VOXELS, progress=told(bar, name))
+            scan, truth = rendered(name, Path(folder), told(bar, name), max(VIEWS))
+            for views in VIEWS:
+                found = methods.reconstruct(thinned(scan, views), "visual-hull", voxels=OBJECT_VOXELS, progress=told(bar, name))
                 measures, seen = volume_measures(found.volume, truth), found.report["silhouette_iou"]["mean"]
                 missed += measures["truth_voxels_removed"] > 0
                 bar.close()
                 row(name, views, *(f"{measures[key]:.4g}" for key in keys), f"{seen:.4f}")
     return missed
-
-
-def rendered(name, folder, progress):
-    """Capture a built-in object on the turntable; return its scan and the truth."""
-    import bpy
-
-    from addon.captures.scan import load_scan
-    from addon.cli.progress_bar import drain, muted_stdout
-    from addon.render.capture import TRUTH, capture_frames
-    from addon.results.blend import new_file
-    from addon.results.ply import read_ply
-    from addon.stage.staging import build
-
-    with muted_stdout():
-        new_file()
-        build(bpy.context.scene, "turntable", name, {"views": max(VIEWS)})
-        drain(capture_frames(bpy.context.scene, folder), progress)
-    return load_scan(folder, progress=progress), read_ply(folder / TRUTH)
 
 
 def photographs(bar):
@@ -129,21 +83,12 @@ def photographs(bar):
 
 
 def table(*titles):
-    print()
-    row(*titles)
-    row(*["---"] * len(titles))
+    print("", *head(*titles), sep="\n", flush=True)
 
 
 def row(*cells):
-    print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
-
-
-def told(bar, name):
-    return lambda fraction, message: bar(fraction, f"{name}: {message}")
+    print(line(*cells), flush=True)
 
 
 if __name__ == "__main__":
-    code = main()
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)  # Blender's own shutdown may print to stdout
+    session.end(main())

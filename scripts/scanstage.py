@@ -12,7 +12,6 @@ import importlib.util
 import os
 import shutil
 import site
-import subprocess
 import sys
 from pathlib import Path
 
@@ -34,7 +33,7 @@ def main():
     environment = load("environment", ROOT / "scripts" / "environment.py")
     try:
         if not has_blender:
-            return run_in_environment(environment)
+            return environment.run_again(__file__)
         if importlib.util.find_spec("cv2") is None:
             site.addsitedir(str(environment.install_opencv(ROOT / ".venv" / ("opencv-%d.%d" % sys.version_info[:2]))))
     except environment.SetupError as error:
@@ -48,15 +47,6 @@ def main():
     finally:
         if "bpy" in sys.modules:
             shutil.rmtree(sys.modules["bpy"].app.tempdir, ignore_errors=True)  # the end below leaves Blender no time for it
-
-
-def run_in_environment(environment):
-    python = environment.prepare()
-    command = [str(python), str(Path(__file__).resolve()), *sys.argv[1:]]
-    if os.name == "posix":
-        sys.stderr.flush()
-        os.execv(command[0], command)
-    return subprocess.call(command)
 
 
 if __name__ == "__main__":

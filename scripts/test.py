@@ -23,7 +23,7 @@ def main():
         pythons[sys.version_info[:2]] = sys.executable  # to be told which are needed
     for version, python in pythons.items():
         try:
-            interpreter = environment.prepare(python, development=True)
+            interpreter = environment.prepare(python, extras=("development", "experiments"))
         except environment.SetupError as error:
             print("scanstage: error: %s" % error, file=sys.stderr)
             return 1

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from ..errors import ScanstageError
@@ -44,7 +45,8 @@ def read_bytes(path: Path, most: int, name: str | None = None) -> bytes:
         if not path.is_file():  # a pipe would block for ever
             raise ScanstageError(f"{name}: is not there or not a file; check the path")
         with open(path, "rb") as file:
-            data = file.read(most + 1)
+            # Not the limit itself: Python takes the memory for all that it is asked to read.
+            data = file.read(min(most, os.fstat(file.fileno()).st_size) + 1)
     except OSError as error:
         raise ScanstageError(f"{name}: cannot be read ({error.strerror}); check the path and its rights") from None
     if len(data) > most:

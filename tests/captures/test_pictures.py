@@ -3,6 +3,7 @@
 """Picture files: exact decoding, and no half or false picture passes for a whole one."""
 
 import struct
+import tracemalloc
 import zlib
 
 import cv2
@@ -139,6 +140,16 @@ def test_a_picture_whose_data_lie_about_its_size_is_refused(tmp_path):
     (tmp_path / "x.png").write_bytes(png_claiming(64, 64))  # whole chunks, right checksums, too little data
     with pytest.raises(ScanstageError, match="^x.png: is cut off or damaged"):
         read_picture(tmp_path / "x.png", "srgb")
+
+
+def test_a_small_picture_takes_little_memory(tmp_path):
+    write_picture(tmp_path / "a.png", np.zeros((20, 30, 3)))
+    read_picture(tmp_path / "a.png", "linear")
+    tracemalloc.start()
+    read_picture(tmp_path / "a.png", "linear")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 20
 
 
 def test_what_is_no_picture_or_not_there_is_refused(tmp_path):

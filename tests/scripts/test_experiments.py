@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The experiments against truths of their own: the lecture's counts, areas that are formulas, invariants of the tables."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from experiments import EXPERIMENTS, accuracy, concavities, cost, hull_2d, octree_count, stage, voxel_sizes
+from tables import Table, head, line
+from turntable_captures import thinned
+
+from addon.reconstruction.geometry import VoxelGrid
+from addon.reconstruction.scan import Scan
+from addon.reconstruction.volumetric.volume import SparseVolume
+from tests.rigs import Ball, ring, sphere_mesh, views_of
+
+ROOT = Path(__file__).resolve().parents[2]
+BALL = Ball((0.0, 0.0, 0.0), 0.1)
+
+
+def silent(fraction, message):
+    """Report to nobody."""
+
+
+@pytest.fixture(scope="module")
+def scan():
+    """Return a ball of 20 cm in 12 views."""
+    cameras = ring(12, distance=0.6, focal=400.0, size=(200, 200))
+    return Scan(tuple(replace(view, read_image=lambda: np.ones((200, 200, 3), np.float32)) for view in views_of(cameras, [BALL])))
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return sphere_mesh(BALL)
+
+
+# --- octree-count ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_lecture_counts_617_with_the_root():
+    tests = octree_count.count(octree_count.horse(), skip_last_level=True)
+    assert tests == [1, 4, 16, 13 * 4, 34 * 16]
+    assert sum(tests) == 617 and sum(tests[1:]) == 616
+
+
+def test_a_strict_quadtree_counts_fewer_on_the_same_figure():
+    tests = octree_count.count(octree_count.horse())
+    assert tests[:5] == [1, 4, 16, 52, 136] and sum(tests) == 209 + tests[5]
+    assert tests[5] < 4 * 102  # below this many it is cheaper than the lecture's jump
+    assert sum(tests) < 617
+
+
+@pytest.mark.parametrize(("radius", "tests"), [(6, 125), (9, 169), (11, 209), (13, 221)])
+def test_discs_count_as_an_independent_program_found(radius, tests):
+    assert sum(octree_count.count(octree_count.disc(radius))) == tests
+
+
+def recursive_count(figure):
+    """Return the tests of a quadtree, from its definition."""
+    if figure.all() or not figure.any() or figure.size == 1:
+        return 1
+    half = len(figure) // 2
+    return 1 + sum(recursive_count(figure[rows, columns]) for rows in (slice(half), slice(half, None))
+                   for columns in (slice(half), slice(half, None)))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
+def test_the_count_is_that_of_the_definition(share):
+    figure = np.random.default_rng(5).random((32, 32)) < share
+    assert sum(octree_count.count(figure)) == recursive_count(figure)
+
+
+def test_cells_that_are_not_divided_tile_the_figure_and_are_of_one_kind():
+    figure, leaves = octree_count.horse(), np.zeros((32, 32), int)
+    for edge, corners in octree_count.tested_cells(figure):
+        for row, column in corners:
+            cell = figure[row:row + edge, column:column + edge]
+            leaves[row:row + edge, column:column + edge] += cell.all() or not cell.any()
+    # A cell that is undivided is tested once, and nothing below it.
+    assert (leaves == 1).all()
+
+
+# --- hull-2d ---------------------------------------------------------------------------------------------------------------
+
+
+def test_the_hull_in_the_plane_shrinks_and_never_loses_the_object():
+    points, truth, kept, table = hull_2d.grow(silent, samples=128, limit=40)
+    hulls = list(kept.values())
+    assert len(hulls) == 9 and truth.any()
+    assert all((left | ~truth).all() for left in hulls)
+    assert all((before | ~after).all() for before, after in zip(hulls, hulls[1:], strict=False))
+    areas = table.column("hull, cm²")
+    assert areas == sorted(areas, reverse=True) and set(table.column("samples of the object lost")) == {0}
+    assert table.column("excess")[-1] == pytest.approx(areas[-1] / (truth.sum() * (2 * hull_2d.REACH / 128) ** 2) - 1)
+
+
+@pytest.mark.parametrize(("views", "sides"), [(3, 6), (4, 4), (5, 10), (8, 8)])
+def test_the_hull_of_a_disc_is_the_polygon_of_its_tangents(views, sides):
+    """Distant views are parallel projections: P odd ones have 2 P tangents, P even ones share theirs and have P."""
+    radius, reach = 3.0, 7.0
+    points, cell = hull_2d.raster(reach, 400)
+    angle = 2 * np.pi * np.arange(views) / views + 0.1
+    places = 1e6 * np.column_stack((np.cos(angle), np.sin(angle)))
+    *_, left = hull_2d.hulls(points, np.array([[0.0, 0.0, radius]]), places)
+    polygon = sides * radius ** 2 * np.tan(np.pi / sides)
+    perimeter = 2 * sides * radius * np.tan(np.pi / sides)
+    # Cells whose middle is inside: their area is that of the polygon but for those which its sides cross.
+    assert left.sum() * cell == pytest.approx(polygon, abs=0.1 * perimeter * np.sqrt(cell))
+
+
+def test_one_silhouette_has_a_gap_between_two_discs_and_none_where_they_overlap():
+    camera = np.array([0.0, -10.0])
+    apart = hull_2d.silhouette(camera, np.array([[-3.0, 0.0, 1.0], [3.0, 0.0, 1.0]]))
+    assert apart.shape == (2, 2) and (np.diff(apart.ravel()) > 0).all()
+    np.testing.assert_allclose(apart[0], -apart[1][::-1])
+    hidden = hull_2d.silhouette(camera, np.array([[0.0, 0.0, 2.0], [0.0, 2.0, 0.5]]))
+    np.testing.assert_allclose(hidden, [[-np.arcsin(0.2), np.arcsin(0.2)]])
+
+
+def test_more_cameras_begin_with_the_same():
+    np.testing.assert_array_equal(hull_2d.cameras(30)[:12], hull_2d.cameras(12))
+
+
+# --- in space --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_octree_is_the_dense_hull_at_fewer_tests(scan):
+    table = cost.compare(scan, (16, 32, 64), 32, silent)
+    assert table.column("tests, dense") == [12 * n ** 3 for n in (16, 32, 64)]
+    # Both round the same positions, by different arithmetic: a voxel on a pixel's very edge may fall on either side.
+    assert all(differing <= 2 for differing in table.column("voxels that differ")[:2])
+    assert table.column("voxels that differ")[2] is None
+    share = table.column("share")
+    assert share[2] < share[1] < share[0] <= 1
+
+
+def test_the_slope_is_the_exponent():
+    sizes = np.array([32, 64, 128])
+    assert cost.slope(sizes, 7 * sizes ** 2.5) == pytest.approx(2.5)
+
+
+def test_a_cube_has_the_middle_and_the_longest_side():
+    cube = cost.cube(np.array([[0.0, 0, 0], [1, 4, 2]]))
+    np.testing.assert_allclose(cube, [[-1.5, 0, -1], [2.5, 4, 3]])
+
+
+def test_voxels_are_as_large_as_asked_for(scan, truth):
+    table, found = voxel_sizes.measure(scan, truth, (10, 5), silent)
+    assert [result.volume.grid.voxel_size for result in found.values()] == pytest.approx([0.010, 0.005])
+    np.testing.assert_allclose(found[10].volume.grid.origin, found[5].volume.grid.origin)
+    assert table.column("truth voxels removed") == [0, 0] and table.column("loss") == [0, 0]
+    coarse, fine = table.column("excess")
+    assert fine < coarse
+    assert all(megabytes > 0 for megabytes in table.column("peak memory, MB"))
+
+
+def test_bounds_grow_to_whole_millimetres():
+    bounds, steps = voxel_sizes.whole_millimetres(np.array([[-0.0101, 0.0, 0.0032], [0.0101, 0.004, 0.0059]]), 2)
+    np.testing.assert_allclose(bounds, [[-0.012, 0, 0.002], [0.012, 0.004, 0.006]])
+    assert steps == 12
+
+
+def test_peak_memory_is_what_was_held_at_most():
+    assert voxel_sizes.peak(lambda: np.ones(30_000_000, np.uint8)) == pytest.approx(30, rel=0.02)
+
+
+def test_more_views_of_a_ring_are_never_worse(scan, truth):
+    rows = accuracy.follow("ball", scan, truth, (3, 6, 12), 32, silent)
+    table = accuracy.tabulate(rows, 32)
+    assert table.column("views") == [3, 6, 12] and set(table.column("truth voxels removed")) == {0}
+    assert table.column("excess") == sorted(table.column("excess"), reverse=True)
+    assert set(table.column("loss")) == {0}
+
+
+def test_thinned_views_are_spread_evenly(scan):
+    assert [view.name for view in thinned(scan, 4).views] == ["0000", "0003", "0006", "0009"]
+    with pytest.raises(ValueError, match="5 views"):
+        thinned(scan, 5)
+
+
+def test_the_depth_of_a_concavity_is_measured_from_its_mouth():
+    """A ball with a pit: the truth is hollow up its axis from 20 mm, the hull from 80 mm, and the mouth is at 100 mm."""
+    grid = VoxelGrid((-0.12, -0.12, -0.12), 0.002, (120, 120, 120))
+    x, y, z = np.moveaxis(grid.centres(np.moveaxis(np.indices(grid.shape), 0, -1)), -1, 0)
+    ball, pit = x ** 2 + y ** 2 + z ** 2 <= 0.01, x ** 2 + y ** 2 <= 0.03 ** 2
+    true, hull = (SparseVolume.from_dense(grid, ball & ~(pit & (z > top))) for top in (0.02, 0.08))
+    concavity = concavities.Concavity("ball", "pit", 0, 90, height=0.0)
+    depth, above, shown = concavities.depths(concavity, sphere_mesh(BALL), true, hull)
+    assert depth == pytest.approx(80, abs=2) and above == pytest.approx(60, abs=2) and shown == pytest.approx(20, abs=2)
+    cut, extent = concavities.section(concavity, true)
+    left, right, low, high = extent
+    # The disc of the section, less the segment that is not drawn, less the pit: 60 mm wide, from 20 mm to the circle.
+    segment = 100 ** 2 * np.arccos(0.6) - 60 * np.sqrt(100 ** 2 - 60 ** 2)
+    hollow = 100 ** 2 * np.arcsin(0.3) + 30 * np.sqrt(100 ** 2 - 30 ** 2) - 60 * 20
+    assert low == -60 and cut.mean() * (right - left) * (high - low) == pytest.approx(np.pi * 100 ** 2 - segment - hollow, rel=0.02)
+
+
+# --- tables and the script -------------------------------------------------------------------------------------------------
+
+
+def test_a_table_is_markdown():
+    table = Table(("name", "count", "share"), (("a", 1234567, 0.123456), ("b", 2, None)), "A note.")
+    assert table.markdown().splitlines() == [
+        "| name | count | share |", "| --- | --- | --- |", "| a | 1,234,567 | 0.1235 |", "| b | 2 |  |", "", "A note."]
+    assert head("x") == ("| x |", "| --- |") and line("x", -1) == "| x | -1 |"
+    with pytest.raises(ValueError, match="3 cells"):
+        Table(("name", "count", "share"), (("a", 1),))
+
+
+def test_every_experiment_is_told_in_one_sentence():
+    assert {"hull-2d", "octree-count", "cost", "voxel-sizes", "accuracy", "concavities"} <= set(EXPERIMENTS)
+    for name, experiment in EXPERIMENTS.items():
+        assert experiment.name == name and experiment.description.endswith(".")
+    assert set(stage.MEASURES) >= {"excess", "loss", "truth_voxels_removed"}
+
+
+def test_the_script_prints_the_table_and_leaves_the_picture(tmp_path):
+    command = [sys.executable, ROOT / "scripts" / "experiments.py", "octree-count", "--out", tmp_path]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert answer.returncode == 0, answer.stderr
+    assert "| 617 |" in answer.stdout and "## octree-count" in answer.stdout
+    picture = tmp_path / "octree-count.png"
+    height, width, _ = cv2.imread(str(picture)).shape
+    assert width == 900 and height < 900 and picture.stat().st_size < 150_000
+    assert [path.name for path in tmp_path.iterdir()] == ["octree-count.png"]
+
+
+def test_an_unknown_experiment_is_a_wrong_call(tmp_path):
+    command = [sys.executable, ROOT / "scripts" / "experiments.py", "nonsense", "--out", tmp_path]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert answer.returncode == 2 and "nonsense" in answer.stderr and "hull-2d" in answer.stderr
+    assert answer.stdout == "" and not list(tmp_path.iterdir())
