@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 
 MAX_SKEW_OF_ROTATION = 1e-5
@@ -146,7 +147,9 @@ class Camera:
         depth : (...) array
             Along the optical axis, in the world's unit.
         """
-        local = np.asarray(points, dtype=np.float64) @ self.R.T + self.t
+        points = np.asarray(points, dtype=np.float64)
+        # A product of many 3-vectors is what BLAS is slowest at: OpenCV's takes a fraction of the time.
+        local = cv2.transform(points.reshape(-1, 1, 3), np.column_stack((self.R, self.t))).reshape(points.shape) if points.size else points
         depth = local[..., 2]
         ideal = local[..., :2] / np.where(depth == 0, np.nan, depth)[..., None]
         x, y = np.moveaxis(distort(ideal, self.distortion) if self.distorted else ideal, -1, 0)

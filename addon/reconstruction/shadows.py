@@ -51,6 +51,15 @@ class ShadowMasks:
         """Return the (height, width) bool shadow of one light."""
         return (self.bits >> self.bits.dtype.type(light) & self.bits.dtype.type(1)).astype(bool)
 
+    def reduced(self, step: int) -> ShadowMasks:
+        """Return the masks in blocks of step x step pixels, a block being in shadow, or decidable, where all of it is.
+
+        They fit the camera's `scaled` by ``1 / step``.
+        """
+        if step == 1:
+            return self
+        return ShadowMasks(_all_of_blocks(self.bits, step), _all_of_blocks(self.decidable, step))
+
     def picture(self, light: int) -> np.ndarray:
         """Return one light's shadow to be looked at, (height, width) uint8: white in shadow, black in the light, grey undecided."""
         return np.where(self.of(light), np.uint8(255), np.where(self.decidable, np.uint8(0), np.uint8(128)))
@@ -90,6 +99,13 @@ def detect_shadows(lit: Sequence[np.ndarray], reference: np.ndarray, *, shadow_r
         shadow = _without_specks(_shrunk(shadow, shadow_margin), shadow_area)
         bits |= shadow.astype(dtype) << dtype(light)
     return ShadowMasks(bits, decidable)
+
+
+def _all_of_blocks(values: np.ndarray, step: int) -> np.ndarray:
+    """Return the bitwise and of blocks of pixels; those that the picture cuts are 0."""
+    height, width = values.shape
+    padded = np.pad(values, ((0, -height % step), (0, -width % step)))
+    return np.bitwise_and.reduce(padded.reshape(padded.shape[0] // step, step, -1, step), axis=(1, 3))
 
 
 def _brightness(picture: np.ndarray) -> np.ndarray:

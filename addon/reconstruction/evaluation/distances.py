@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ..arrays import expand, sorted_unique
 from ..mesh import TriangleMesh, merge_equal
-from .pieces import bisect, expand, sorted_unique, squared_edges
+from .pieces import bisect, squared_edges
 
 NODES = 100_000
 NEIGHBOURS = (8, 48)  # nodes looked at, then again where the first were not certain to be enough

@@ -12,10 +12,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..arrays import expand, sorted_unique
 from ..geometry import VoxelGrid
 from ..mesh import TriangleMesh
 from ..volumetric.volume import BRICK, SparseVolume
-from .pieces import bisect, expand, sorted_unique
+from .pieces import bisect
 
 TOLERANCE = 1e-6
 """In voxels: a surface that enters a voxel by less does not touch it, so that one lying in a voxel's face does not."""

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..arrays import expand
 from ..geometry import VoxelGrid
 from ..mesh import TriangleMesh
 from ..volumetric.volume import BRICK, SparseVolume
 from .overlap import slabs_of, touched_indices
-from .pieces import expand
 
 CHUNK = 1 << 18
 

@@ -164,15 +164,15 @@ class _Rays:
 
 
 def pixel_rays(camera: Camera, pixels: np.ndarray) -> np.ndarray:
-    """Return the (n, 3) directions, with unit depth, of the rays through the centres of flat pixels (n,), the lens allowed for.
+    """Return the (3, n) directions, with unit depth, of the rays through the centres of flat pixels (n,), the lens allowed for.
 
     A pixel that the lens model never reaches has NaN.
     """
+    if camera.distorted:
+        x, y = (values.take(pixels) for values in _undistorted(tuple(camera.K.ravel()), tuple(camera.distortion), camera.size))
+        return camera.R.T @ np.stack((x, y, np.ones(len(pixels))))
     row, column = np.divmod(pixels, camera.size[0])
-    if not camera.distorted:
-        return camera.rays(np.column_stack((column, row)))
-    x, y = (values.take(pixels) for values in _undistorted(tuple(camera.K.ravel()), tuple(camera.distortion), camera.size))
-    return np.column_stack((x, y, np.ones(len(pixels)))) @ camera.R
+    return np.linalg.inv(camera.K @ camera.R) @ np.stack((column, row, np.ones(len(pixels))))
 
 
 @lru_cache(maxsize=2)

@@ -30,18 +30,20 @@ what is free where it meets another's end, so that the samples of one surface do
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from ...errors import ScanstageError
+from ..arrays import expand
 from ..geometry import Camera, VoxelGrid, distort, look_at
 from .item_buffer import item_buffer, pixel_rays
 from .surface import Surface
 
 PIXELS_PER_VOXEL = 1.5
 _LARGEST_SIDE = 4096  # pixels of a virtual light image
+_POINTS = 1 << 20  # worked on together
 _WIDEST = 4.0  # tangent of the widest angle off a virtual light image's axis
 _FARTHEST = 1e4  # a sun stands so many diagonals of the volume away
 
@@ -58,22 +60,32 @@ class SeenSurface:
         The surface voxel that each pixel sees, -1 for none.
     depth : (height, width) float32 array
         How far it is along the camera's axis, infinite for none.
-    voxels : (s,) bool array
-        Whether some pixel sees the surface voxel.
     """
 
     camera: Camera
     items: np.ndarray
     depth: np.ndarray
-    voxels: np.ndarray
 
     @classmethod
     def of(cls, surface: Surface, grid: VoxelGrid, camera: Camera) -> SeenSurface:
         """Look at a surface."""
-        items, depth = item_buffer(surface, grid, camera)
-        voxels = np.zeros(len(surface.voxels), bool)
-        voxels[items[items >= 0]] = True
-        return cls(camera, items, depth, voxels)
+        return cls(camera, *item_buffer(surface, grid, camera))
+
+    @classmethod
+    def about(cls, surface: Surface, grid: VoxelGrid, light: VirtualLight, entries: np.ndarray) -> SeenSurface:
+        """Let a light look at a surface where rays may meet the surface voxels ``entries`` (s,), and nowhere else.
+
+        Elsewhere it sees nothing, at a depth of minus infinity: of those rays nothing is known to be free.
+        """
+        camera, kernel = light.camera, np.ones((2 * light.radius + 1,) * 2, np.uint8)
+        pixels = np.rint(camera.project(grid.centres(surface.voxels))[0]).astype(np.intp)
+        flat = pixels[:, 1] * camera.size[0] + pixels[:, 0]
+        wanted = np.zeros(camera.size[::-1], np.uint8)
+        wanted.ravel()[flat[entries]] = 1
+        wanted = cv2.dilate(wanted, kernel)
+        near = cv2.dilate(wanted, kernel).ravel().take(flat).astype(bool)
+        seen = cls.of(surface.part(near.take(surface.face_voxel)), grid, camera)
+        return replace(seen, items=np.where(wanted, seen.items, -1), depth=np.where(wanted, seen.depth, np.float32(-np.inf)))
 
 
 @dataclass(frozen=True)
@@ -141,7 +153,8 @@ def distant(direction: np.ndarray, box: np.ndarray) -> np.ndarray:
     return box.mean(axis=0) - _FARTHEST * np.linalg.norm(box[1] - box[0]) * np.asarray(direction) / np.linalg.norm(direction)
 
 
-def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, voxel_size: float, *, strict: bool = True) -> np.ndarray:
+def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, entries: np.ndarray, voxel_size: float, *,
+               strict: bool) -> np.ndarray:
     """Return up to which depth the light's rays are free of the object.
 
     Parameters
@@ -149,7 +162,9 @@ def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, voxel_
     view, light : SeenSurface
         The same surface seen by the camera and by the light.
     shadow : (height, width) bool array
-        The camera's pixels that lie in the light's shadow, and surely do.
+        The camera's pixels that see the surface in the light's shadow, and surely do.
+    entries : (s,) bool array
+        The surface voxels, seen by the camera, at which rays may enter; the others' rays are not followed.
     voxel_size : float
     strict : bool
         Whether the rule is the one above; otherwise ``safe``.
@@ -159,109 +174,121 @@ def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, voxel_
     (h, w) float32 array
         Per pixel of the virtual light image: at least the depth at which the volume begins.
     """
-    shaded = shadow & (view.items >= 0)
-    rays = np.flatnonzero((light.items >= 0) & (strict | view.voxels.take(light.items, mode="clip")))
-    out = _Paths.follow(light.camera, rays, light.depth.ravel().take(rays), view.camera, np.where(shaded, np.inf, -np.inf), voxel_size)
+    rays = np.flatnonzero((light.items >= 0) & entries.take(light.items, mode="clip"))
+    start, endless = light.depth.ravel().take(rays), np.full(len(rays), np.inf)
+    out = _Paths(light.camera, rays, start, endless, view.camera, np.where(shadow, np.inf, -np.inf), voxel_size)
     free = light.depth.copy()
-    if not len(out.rays):
+    free.ravel()[out.rays] = out.reached()
+    if not (strict and len(out.rays)):
         return free
-    free.ravel()[out.rays] = out.last
-    if not strict:
-        return free
-    asked = np.unique(out.pixels)
-    back = _Paths.follow(view.camera, asked, view.depth.ravel().take(asked), light.camera, free + voxel_size, voxel_size)
-    # From above: at first all that lies in shadow counts as free, then ever less, until nothing contradicts anything.
+    asked, deepest = out.crossed()
+    back = _Paths(view.camera, asked, view.depth.ravel().take(asked), deepest, light.camera, free + voxel_size, voxel_size)
     blocked = np.full(view.depth.shape, -np.inf, np.float32)
-    while True:
-        blocked.ravel()[back.rays] = back.reached(free + voxel_size) + voxel_size
-        before = free.ravel().take(out.rays)
-        free.ravel()[out.rays] = out.reached(blocked)
-        if np.array_equal(before, free.ravel().take(out.rays)):
-            return free
+    blocked.ravel()[back.rays] = back.reached() + voxel_size
+    # From above: at first all that lies in shadow counts as free, then ever less, until nothing contradicts anything.
+    changed = asked
+    while len(changed):
+        shorter = out.shorten(blocked, changed)
+        free.ravel()[out.rays[shorter]] = out.reached()[shorter]
+        changed = out.rays[shorter]
+        shorter = back.shorten(free + voxel_size, changed)
+        blocked.ravel()[back.rays[shorter]] = back.reached()[shorter] + voxel_size
+        changed = back.rays[shorter]
+    return free
 
 
-@dataclass(frozen=True)
 class _Paths:
-    """Rays of one camera through the picture of another.
+    """Rays of one camera followed through the picture of another, in steps of less than a pixel and half a voxel.
 
     Parameters
     ----------
+    camera : Camera
     rays : (n,) int array
-        Flat pixels of the one camera, whose rays these are.
-    start : (n,) float32 array
-        The depth, along its axis, at which each begins.
-    first : (n,) int array
-        Of each ray the number of its first step; they lie one after another.
-    own : (m,) float32 array
-        The depth of each step along the one camera's axis.
-    pixels : (m,) int array
-        Which pixel, flat, of the other camera it falls on.
-    depth : (m,) float32 array
-        Its depth along the other camera's axis.
+        Flat pixels. A ray whose first step is beyond the limit has no path.
+    start, stop : (n,) float array
+        The depths, along the camera's axis, from which to which it is followed.
+    other : Camera
+    limit : (h, w) float array
+        Per pixel of the other camera: how deep a ray may be there. Beyond the picture none is followed.
+    voxel_size : float
+
+    Attributes
+    ----------
+    rays : (m,) int array
+        The pixels whose rays have paths.
     """
 
-    rays: np.ndarray
-    start: np.ndarray
-    first: np.ndarray
-    own: np.ndarray
-    pixels: np.ndarray
-    depth: np.ndarray
+    def __init__(self, camera: Camera, rays: np.ndarray, start: np.ndarray, stop: np.ndarray, other: Camera, limit: np.ndarray,
+                 voxel_size: float) -> None:
+        # In the other camera's frame a ray's points are eye + own depth * way.
+        eye, way = (other.R @ camera.centre + other.t)[:, None], other.R @ pixel_rays(camera, rays)
+        row, own, (x, y, z) = np.arange(len(rays)), start.astype(np.float64), eye + start * way
+        turn, steps = None, [(np.zeros(0, np.intp), np.zeros(0, np.float32), np.zeros(0, np.intp), np.zeros(0, np.float32))]
+        while len(row):
+            pixels, inside = _pixels_of(other, x, y, z)
+            here = np.flatnonzero(inside & (z <= limit.ravel().take(pixels)) & (own <= stop.take(row)))
+            row, own, way, z = row.take(here), own.take(here), way.take(here, axis=1), z.take(here)
+            steps.append((row, own.astype(np.float32), pixels.take(here), z.astype(np.float32)))
+            turn = _turn(other, eye, way) if turn is None else turn.take(here)
+            own = own + np.minimum(voxel_size / 2, _stride(other) * z ** 2 / np.maximum(turn - _stride(other) * z * way[2], 1e-30))
+            x, y, z = eye + own * way
+        owner, own, pixels, depth = (np.concatenate(part) for part in zip(*steps, strict=True))
+        order = np.argsort(owner, kind="stable")
+        self._first = np.flatnonzero(np.diff(owner[order], prepend=-1))  # steps lie ray by ray
+        self._end = np.append(self._first[1:], len(order))[:len(self._first)]
+        self._own, self._pixels, self._depth = own[order], pixels[order], depth[order]
+        kept = owner[order][self._first]
+        self.rays, self._start = rays[kept], start[kept].astype(np.float32)
+        self._by_pixel = np.argsort(self._pixels, kind="stable")
+        self._sorted = self._pixels[self._by_pixel]
 
-    @classmethod
-    def follow(cls, camera: Camera, rays: np.ndarray, start: np.ndarray, other: Camera, limit: np.ndarray, voxel_size: float) -> _Paths:
-        """Follow rays as long as the other camera has them no deeper than a limit, in steps of less than a pixel and half a voxel.
+    def reached(self) -> np.ndarray:
+        """Return the (m,) float32 depths of the paths' last steps; the start of a path that has lost its first."""
+        return np.where(self._end > self._first, self._own.take(np.maximum(self._end - 1, 0)), self._start)
+
+    def crossed(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pixels of the other camera that the paths cross, and how deep there at most."""
+        first = np.flatnonzero(np.diff(self._sorted, prepend=-1))
+        return self._sorted[first], np.maximum.reduceat(self._depth[self._by_pixel], first)
+
+    def shorten(self, limit: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """End paths before steps that are beyond a limit now, where it has changed; return the numbers of those that are shorter.
 
         Parameters
         ----------
-        camera : Camera
-        rays : (n,) int array
-            Flat pixels. A ray whose first step is beyond the limit has no path.
-        start : (n,) float array
-        other : Camera
         limit : (h, w) float array
-            Per pixel of the other camera. Beyond its picture no ray is followed.
-        voxel_size : float
+            Per pixel of the other camera; nowhere higher than before.
+        pixels : (k,) int array
+            The flat pixels at which it is lower.
         """
-        way = pixel_rays(camera, rays) @ other.R.T
-        eye = other.R @ camera.centre + other.t  # in the other camera's frame a ray's points are eye + own depth * way
-        # From one of them to another the pixel coordinate f x / z moves by f (x z' - x' z) / (z z'), and x z' - x' z is the
-        # difference of their depths times a number of the ray's own.
-        turn = np.abs(np.cross(way, eye)[:, :2]).max(axis=1) * max(other.K[0, 0] + abs(other.K[0, 1]), other.K[1, 1])
-        stride = 0.5 if other.distorted else 0.95  # pixels; a lens may stretch the picture
-        row, own, steps = np.arange(len(rays)), start.astype(np.float64), []
-        while len(row):
-            points = eye + own[:, None] * way
-            pixels, inside = _pixels_of(other, points)
-            here = np.flatnonzero(inside & (points[:, 2] <= limit.ravel().take(pixels)))
-            row, way, own, turn, z = row.take(here), way.take(here, axis=0), own.take(here), turn.take(here), points[here, 2]
-            steps.append((row, own.astype(np.float32), pixels.take(here), z.astype(np.float32)))
-            own = own + np.minimum(voxel_size / 2, stride * z ** 2 / np.maximum(turn - stride * z * way[:, 2], 1e-30))
-        owner, own, pixels, depth = (np.concatenate(part) for part in zip(*steps, strict=True)) if steps else (np.zeros(0, int),) * 4
-        order = np.argsort(owner, kind="stable")
-        first = np.flatnonzero(np.diff(owner[order], prepend=-1))
-        kept = owner[order][first]
-        return cls(rays[kept], start[kept].astype(np.float32), first, own[order], pixels[order], depth[order])
-
-    @property
-    def last(self) -> np.ndarray:
-        """The (n,) depths at which the paths end, of which there is one at least."""
-        return self.own[np.append(self.first[1:], len(self.own)) - 1]
-
-    def reached(self, limit: np.ndarray) -> np.ndarray:
-        """Return the (n,) depths of the last steps before one that is beyond the limit; where the first is, the start."""
-        if not len(self.rays):
-            return self.start
-        step = np.arange(len(self.own))
-        beyond = np.minimum.reduceat(np.where(self.depth <= limit.ravel().take(self.pixels), len(step), step), self.first)
-        end = np.minimum(beyond, np.append(self.first[1:], len(step)))
-        return np.where(end > self.first, self.own.take(np.maximum(end - 1, 0)), self.start)
+        begin, stop = np.searchsorted(self._sorted, pixels), np.searchsorted(self._sorted, pixels, side="right")
+        before = self._end.copy()
+        for which, position in expand(stop - begin, _POINTS):
+            step = self._by_pixel.take(begin.take(which) + position)
+            step = step[self._depth.take(step) > limit.ravel().take(self._pixels.take(step))]
+            np.minimum.at(self._end, np.searchsorted(self._first, step, side="right") - 1, step)
+        return np.flatnonzero(self._end < before)
 
 
-def _pixels_of(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the flat pixels (n,) of points (n, 3) in a camera's frame, and whether they lie before it and in its picture."""
-    z = points[:, 2]
+def _stride(camera: Camera) -> float:
+    return 0.5 if camera.distorted else 0.95  # pixels; a lens may stretch the picture
+
+
+def _turn(camera: Camera, eye: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Return how fast the pixels of points ``eye + depth * way`` (3, n) move.
+
+    From one of them to another the pixel coordinate f x / z moves by f (x z' - x' z) / (z z'), and x z' - x' z is the
+    difference of their depths times a number of the ray's own.
+    """
+    (ex, ey, ez), (wx, wy, wz) = eye, way
+    return max(camera.K[0, 0] + abs(camera.K[0, 1]), camera.K[1, 1]) * np.maximum(np.abs(wx * ez - wz * ex), np.abs(wy * ez - wz * ey))
+
+
+def _pixels_of(camera: Camera, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the flat pixels (n,) of points in a camera's frame, and whether they lie before it and in its picture."""
     ahead = z > 0
-    x, y = (points[:, :2] / np.where(ahead, z, 1.0)[:, None]).T
+    inverse = 1.0 / np.where(ahead, z, 1.0)
+    x, y = x * inverse, y * inverse
     if camera.distorted:
         x, y = distort(np.stack((x, y), axis=-1), camera.distortion).T
     K, (width, height) = camera.K, camera.size
@@ -271,16 +298,14 @@ def _pixels_of(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def freed_points(free: np.ndarray, light: SeenSurface, spacing: float) -> np.ndarray:
-    """Return points (n, 3), in the object frame, along what the rays gained beyond their first hits, ``spacing`` apart in depth."""
+    """Return points (3, n), in the object frame, along what the rays gained beyond their first hits, ``spacing`` apart in depth."""
     first = light.depth.ravel()
     gained = np.flatnonzero(free.ravel() > first)
     count = np.floor((free.ravel().take(gained) - first.take(gained)) / spacing).astype(np.int64) + 1
-    ray = np.repeat(np.arange(len(gained)), count)
-    number = np.arange(len(ray)) - np.repeat(np.cumsum(count) - count, count)
-    row, column = np.divmod(gained, light.camera.size[0])
-    rays = light.camera.rays(np.column_stack((column, row)))
-    depth = first.take(gained).take(ray).astype(np.float64) + number * spacing
-    return light.camera.centre + depth[:, None] * rays.take(ray, axis=0)
+    rays, start = pixel_rays(light.camera, gained), first.take(gained).astype(np.float64)
+    points = [light.camera.centre[:, None] + (start.take(ray) + step * spacing) * rays.take(ray, axis=1)
+              for ray, step in expand(count, _POINTS)]
+    return np.concatenate([np.zeros((3, 0)), *points], axis=1)
 
 
 def wholly_free(free: np.ndarray, light: VirtualLight, centres: np.ndarray) -> np.ndarray:

@@ -6,9 +6,10 @@ Silhouettes never show a concavity; the shadows that fall into it do (Savarese, 
 "3D Reconstruction by Shadow Carving: Theory and Practical Evaluation", IJCV 71(3), 2007). `light_image` has the rule and
 its proof.
 
-Each pass judges every view and light on the same volume and removes afterwards, so that their order plays no part; passes
-repeat until nothing changes, since what one light has opened another may see into. A voxel goes only if all rays through
-it are free to beyond it: what is left holds the object whole, which the next pass relies on.
+Each round judges every view and light on the same volume and removes afterwards, so that their order plays no part. Rounds
+repeat until nothing changes, since what one light has opened another may shine into; a later round follows the rays that
+enter where the last one has removed something. A voxel goes only if all rays through it are free to beyond it: what is left
+holds the object whole, which the next round relies on.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from ...errors import ScanstageError
 from ...options import Option, Value
 from ...progress import Progress, part_of, silent
+from ..arrays import sorted_unique
 from ..geometry import Light, VoxelGrid
 from ..outcome import Outcome, VoxelLayer
 from ..scan import Scan, View
@@ -35,14 +37,16 @@ OPTIONS = (
         "strict": "as long as its pixels lie in shadow and nothing but free rays is before it: proven to keep the object whole",
         "safe": "as long as its pixels lie in shadow, from a point that the camera sees: may cut an object with gaps that light "
                 "shines through"}),
-    Option("passes", 8, "The most rounds over all views and lights; they end before when nothing more can be carved",
+    Option("rounds", 8, "The most rounds over all views and lights; they end before when nothing more can be carved",
            minimum=1, maximum=100),
     *(option for option in hull.OPTIONS if option.name != "rule"),
 )
 
 
 _MOST_PICTURES = 8  # of virtual light images
-_SPACING = 0.5  # voxels between the points at which a ray looks for voxels to remove
+_BESIDE = np.concatenate((np.eye(3, dtype=np.int32), -np.eye(3, dtype=np.int32)))
+_PIXELS_PER_VOXEL = 3.0  # of a view: finer pictures are reduced, to save time
+_SPACING = 0.75  # voxels between the points at which a ray looks for voxels to remove
 
 
 def working_bounds(scan: Scan, *, tolerance: int, outside: str, **_: Value) -> np.ndarray:
@@ -50,7 +54,7 @@ def working_bounds(scan: Scan, *, tolerance: int, outside: str, **_: Value) -> n
     return hull.working_bounds(scan, rule="conservative", tolerance=tolerance, outside=outside)
 
 
-def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", passes: int = 8, tolerance: int = 0,
+def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", rounds: int = 8, tolerance: int = 0,
                    outside: str = "unknown", progress: Progress = silent) -> Outcome:
     """Carve the visual hull of a scan, then what its shadows prove to be empty.
 
@@ -60,7 +64,7 @@ def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", 
         Every view with a mask; those with pictures under single lights also with their shadows.
     grid : VoxelGrid
     shadow_rule : {'strict', 'safe'}
-    passes : int
+    rounds : int
         The most rounds over all views and lights.
     tolerance, outside
         Of the hull, see `visual_hull.visual_hull`.
@@ -81,19 +85,19 @@ def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", 
     check_lights(scan)
     found = hull.visual_hull(scan, grid, rule="conservative", tolerance=tolerance, outside=outside, progress=part_of(progress, 0, 0.1))
     lights = list(dict.fromkeys(lit.light_id for view in scan.views for lit in view.lit))
-    volume, rounds, pictures = found.volume, [], {}
-    for number in range(passes):
+    volume, done, pictures = found.volume, [], {}
+    for number in range(rounds):
         share = 0.1 + 0.9 * (1 - 0.5 ** number)  # most is done in the first rounds, and how many there will be is not known
-        sight = Sight.of(volume, strict=shadow_rule == "strict")
+        sight = Sight.of(volume, strict=shadow_rule == "strict", removed=done[-1].voxels if done else None)
         removals = list(sight.removals(scan.views, part_of(progress, share, (share + 1) / 2)))
-        rounds.append(_layer(removals, number, lights))
-        pictures = pictures or sight.pictures(scan.views, lights)
-        volume = volume.without(rounds[-1].voxels)
-        if not len(rounds[-1].voxels):
+        done.append(_layer(removals, number, lights))
+        pictures = pictures or sight.pictures(scan.views)
+        volume = volume.without(done[-1].voxels)
+        if not len(done[-1].voxels):
             break
-    carved = VoxelLayer(np.concatenate([part.voxels for part in rounds]),
-                        {name: np.concatenate([part.values[name] for part in rounds]) for name in rounds[0].values})
-    counts = {**found.report["counts"], "hull": found.volume.count(), "carved": len(carved.voxels), "rounds": len(rounds)}
+    carved = VoxelLayer(np.concatenate([part.voxels for part in done]),
+                        {name: np.concatenate([part.values[name] for part in done]) for name in done[0].values})
+    counts = {**found.report["counts"], "hull": found.volume.count(), "carved": len(carved.voxels), "rounds": len(done)}
     progress(1.0, "Carved by shadows")
     return Outcome(volume, {"counts": counts, "carved_by": {"views": [view.name for view in scan.views], "lights": lights},
                             "warnings": found.report["warnings"] + _warnings(scan)}, layers={"carved": carved}, pictures=pictures)
@@ -151,6 +155,8 @@ class Sight:
     volume : SparseVolume
     surface : Surface
         Of the volume.
+    entries : (s,) bool array
+        The surface voxels at which rays of light are looked at: all at first, later those that the last round has exposed.
     box : (2, 3) array
         Round the volume, in the object frame.
     strict : bool
@@ -158,15 +164,20 @@ class Sight:
 
     volume: SparseVolume
     surface: Surface
+    entries: np.ndarray
     box: np.ndarray
     strict: bool
 
     @classmethod
-    def of(cls, volume: SparseVolume, *, strict: bool) -> Sight:
-        lower, upper = volume.bounds()
-        grid = volume.grid
+    def of(cls, volume: SparseVolume, *, strict: bool, removed: np.ndarray | None = None) -> Sight:
+        """Look at a volume, from which the voxels ``removed`` (n, 3) are gone since the last round."""
+        grid, (lower, upper) = volume.grid, volume.bounds()
         box = np.stack((grid.origin + grid.voxel_size * lower, grid.origin + grid.voxel_size * (upper + 1)))
-        return cls(volume, extract_surface(volume), box, strict)
+        surface = extract_surface(volume)
+        entries = np.ones(len(surface.voxels), bool)
+        if removed is not None:
+            entries = np.isin(_flat(surface.voxels, grid), np.concatenate([_flat(removed + step, grid) for step in _BESIDE]))
+        return cls(volume, surface, entries, box, strict)
 
     def removals(self, views: Sequence[View], progress: Progress) -> Iterator[tuple[int, str, np.ndarray]]:
         """Yield the number of a view, a light's id and the (n, 3) voxels that no earlier ones removed."""
@@ -179,23 +190,40 @@ class Sight:
                 yield number, light_id, voxels
 
     def free_depths(self, view: View) -> Iterator[tuple[str, VirtualLight, SeenSurface, np.ndarray]]:
-        """Yield each light of a view that casts a shadow, what it sees, and how far its rays are free."""
-        grid = self.volume.grid
-        seen = None
+        """Yield each light of a view whose rays enter where the camera sees its shadow, what it sees, and how far its rays are free."""
+        if not view.lit:
+            return
+        grid, step = self.volume.grid, self._coarseness(view)
+        seen, shadows = SeenSurface.of(self.surface, grid, view.camera.scaled(1 / step)), view.shadows.reduced(step)
         for number, picture in enumerate(view.lit):
-            shadow = view.shadows.of(number)
-            if not shadow.any():
-                continue
-            light = VirtualLight.of(_position(picture.light, self.box), self.box, grid.voxel_size, picture.light_id)
-            seen = seen or SeenSurface.of(self.surface, grid, view.camera)
-            lit = SeenSurface.of(self.surface, grid, light.camera)
-            yield picture.light_id, light, lit, free_depth(seen, lit, shadow, grid.voxel_size, strict=self.strict)
+            shadow = shadows.of(number) & (seen.items >= 0)
+            entries = np.zeros(len(self.entries), bool)
+            entries[seen.items[shadow]] = True
+            entries &= self.entries
+            if entries.any():
+                light = VirtualLight.of(_position(picture.light, self.box), self.box, grid.voxel_size, picture.light_id)
+                lit = SeenSurface.about(self.surface, grid, light, entries)
+                yield picture.light_id, light, lit, free_depth(seen, lit, shadow, entries, grid.voxel_size, strict=self.strict)
 
-    def pictures(self, views: Sequence[View], lights: Sequence[str]) -> dict[str, np.ndarray]:
+    def _coarseness(self, view: View) -> int:
+        """Return how many pixels of a view's picture, along a side, are taken as one that keeps about `_PIXELS_PER_VOXEL`."""
+        depth = float((self.box.mean(axis=0) - view.camera.centre) @ view.camera.forward)
+        if depth <= 0:
+            return 1
+        return max(1, int(min(view.camera.K[0, 0], view.camera.K[1, 1]) * self.volume.grid.voxel_size / depth / _PIXELS_PER_VOXEL))
+
+    def pictures(self, views: Sequence[View]) -> dict[str, np.ndarray]:
         """Return the virtual light images of the first view with lights, to be looked at."""
         view = next(view for view in views if view.lit)
-        found = self.free_depths(view)
-        return {f"light-image-{light_id}": _picture(lit.depth, free) for light_id, _, lit, free in islice(found, _MOST_PICTURES)}
+        return {f"light-image-{light_id}": _picture(SeenSurface.of(self.surface, self.volume.grid, light.camera).depth, lit.depth, free)
+                for light_id, light, lit, free in islice(self.free_depths(view), _MOST_PICTURES)}
+
+
+def _flat(voxels: np.ndarray, grid: VoxelGrid) -> np.ndarray:
+    """Return flat indices of (n, 3) voxels, which may lie one voxel beyond the grid."""
+    _, ny, nz = grid.shape
+    x, y, z = voxels.astype(np.int64).T
+    return ((x + 1) * (ny + 2) + y + 1) * (nz + 2) + z + 1
 
 
 def _position(light: Light, box: np.ndarray) -> np.ndarray:
@@ -206,9 +234,9 @@ def _free_voxels(volume: SparseVolume, free: np.ndarray, light: VirtualLight, li
     """Return the (n, 3) voxels of a volume that lie in the part of a light's rays that is free, whole."""
     grid = volume.grid
     points = freed_points(free, lit, _SPACING * grid.voxel_size)
-    voxels = np.floor((points - grid.origin) / grid.voxel_size).astype(np.int64)
-    voxels = voxels[((voxels >= 0) & (voxels < grid.shape)).all(axis=1)]
-    flat = np.unique(np.ravel_multi_index(tuple(voxels.T), grid.shape))
+    voxels = np.floor((points - grid.origin[:, None]) / grid.voxel_size).astype(np.int64)
+    voxels = voxels[:, ((voxels >= 0) & (voxels < np.array(grid.shape)[:, None])).all(axis=0)]
+    flat = sorted_unique(np.ravel_multi_index(tuple(voxels), grid.shape))
     voxels = np.column_stack(np.unravel_index(flat, grid.shape))
     voxels = voxels[volume.contains(voxels)]
     return voxels[wholly_free(free, light, grid.centres(voxels))]
@@ -223,12 +251,11 @@ def _layer(removals: Sequence[tuple[int, str, np.ndarray]], number: int, lights:
                                "round": np.full(len(voxels), number, np.uint16)})
 
 
-def _picture(depth: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return a virtual light image to be looked at: near is bright, and orange what the shadow shows to be empty."""
+def _picture(depth: np.ndarray, entry: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return a virtual light image to be looked at: near is bright, and orange where the shadow shows rays to be free."""
     seen = np.isfinite(depth)
     near, far = (float(depth[seen].min()), float(depth[seen].max())) if seen.any() else (0.0, 1.0)
     grey = np.where(seen, 230 - 170 * (np.where(seen, depth, near) - near) / max(far - near, 1e-12), 20)
     picture = np.repeat(grey[..., None], 3, axis=2)
-    gained = seen & (free > depth)
-    picture[gained] *= (1.0, 0.55, 0.15)
+    picture[seen & (free > entry)] *= (1.0, 0.55, 0.15)
     return picture.astype(np.uint8)

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from addon.reconstruction.arrays import expand
 from addon.reconstruction.evaluation import inside, touched, wholly_inside
-from addon.reconstruction.evaluation.pieces import bisect, expand
+from addon.reconstruction.evaluation.pieces import bisect
 from addon.reconstruction.geometry import VoxelGrid, rotation_about
 from addon.reconstruction.mesh import TriangleMesh
 
