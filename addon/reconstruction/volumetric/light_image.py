@@ -164,7 +164,7 @@ def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, entrie
     shadow : (height, width) bool array
         The camera's pixels that see the surface in the light's shadow, and surely do.
     entries : (s,) bool array
-        The surface voxels, seen by the camera, at which rays may enter; the others' rays are not followed.
+        The surface voxels at which rays may enter; the others' rays are not followed.
     voxel_size : float
     strict : bool
         Whether the rule is the one above; otherwise ``safe``.
@@ -182,7 +182,8 @@ def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, entrie
     if not (strict and len(out.rays)):
         return free
     asked, deepest = out.crossed()
-    back = _Paths(view.camera, asked, view.depth.ravel().take(asked), deepest, light.camera, free + voxel_size, voxel_size)
+    start = view.depth.ravel().take(asked)
+    back = _Paths(view.camera, asked, start, np.maximum(deepest, start), light.camera, free + voxel_size, voxel_size)
     blocked = np.full(view.depth.shape, -np.inf, np.float32)
     blocked.ravel()[back.rays] = back.reached() + voxel_size
     # From above: at first all that lies in shadow counts as free, then ever less, until nothing contradicts anything.

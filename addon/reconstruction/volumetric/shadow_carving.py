@@ -18,6 +18,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
+import cv2
 import numpy as np
 
 from ...errors import ScanstageError
@@ -45,6 +46,8 @@ OPTIONS = (
 
 _MOST_PICTURES = 8  # of virtual light images
 _BESIDE = np.concatenate((np.eye(3, dtype=np.int32), -np.eye(3, dtype=np.int32)))
+_AROUND = np.ones((5, 5), np.uint8)
+_STEPS = 2
 _PIXELS_PER_VOXEL = 3.0  # of a view: finer pictures are reduced, to save time
 _SPACING = 0.75  # voxels between the points at which a ray looks for voxels to remove
 
@@ -195,15 +198,27 @@ class Sight:
             return
         grid, step = self.volume.grid, self._coarseness(view)
         seen, shadows = SeenSurface.of(self.surface, grid, view.camera.scaled(1 / step)), view.shadows.reduced(step)
+        pixels, near = self._in_front(seen)
         for number, picture in enumerate(view.lit):
             shadow = shadows.of(number) & (seen.items >= 0)
-            entries = np.zeros(len(self.entries), bool)
-            entries[seen.items[shadow]] = True
-            entries &= self.entries
+            entries = self.entries & near & cv2.dilate(shadow.astype(np.uint8), _AROUND).ravel().take(pixels).astype(bool)
             if entries.any():
                 light = VirtualLight.of(_position(picture.light, self.box), self.box, grid.voxel_size, picture.light_id)
                 lit = SeenSurface.about(self.surface, grid, light, entries)
                 yield picture.light_id, light, lit, free_depth(seen, lit, shadow, entries, grid.voxel_size, strict=self.strict)
+
+    def _in_front(self, seen: SeenSurface) -> tuple[np.ndarray, np.ndarray]:
+        """Return the flat pixel of each surface voxel, and whether it lies there at most `_STEPS` voxels behind what is seen.
+
+        A light may meet a step of the voxels' stairs that the camera does not see.
+        """
+        grid, (width, height) = self.volume.grid, seen.camera.size
+        pixels, depth = seen.camera.project(grid.centres(self.surface.voxels))
+        column, row = np.rint(np.nan_to_num(pixels, nan=-1.0)).T
+        inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        flat = np.where(inside, row * width + column, 0).astype(np.intp)
+        farthest = np.where(np.isfinite(seen.depth), seen.depth, 0)
+        return flat, inside & (depth <= cv2.dilate(farthest, _AROUND).ravel().take(flat) + _STEPS * grid.voxel_size)
 
     def _coarseness(self, view: View) -> int:
         """Return how many pixels of a view's picture, along a side, are taken as one that keeps about `_PIXELS_PER_VOXEL`."""
