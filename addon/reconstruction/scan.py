@@ -51,6 +51,9 @@ class View:
         time, so that a scan's pictures never lie in memory together.
     lit : tuple of LitPicture
         The same camera and pose under single lights of an array.
+    contours : tuple of (n, 2) array, optional
+        The silhouette as closed outlines in the picture's pixels, finer than a mask can be: True is what lies inside an odd
+        number of them, so that holes are outlines, too. Methods that work on outlines take them in the mask's place.
     """
 
     name: str
@@ -58,6 +61,7 @@ class View:
     mask: np.ndarray | None
     read_image: Callable[[], np.ndarray]
     lit: tuple[LitPicture, ...] = ()
+    contours: tuple[np.ndarray, ...] | None = None
 
 
 @dataclass(frozen=True)
