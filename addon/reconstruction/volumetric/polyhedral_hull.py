@@ -58,8 +58,8 @@ _BOX = np.array([[0, 0, 1, 1, 0, 0, 1, 1], [0, 0, 0, 0, 1, 1, 1, 1], [0, 1, 0, 1
 _QUADS = np.array([(0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6), (0, 4, 6, 2), (1, 3, 7, 5)])
 
 
-def working_bounds(scan: Scan, *, rule: str, outside: str) -> np.ndarray:
-    """Return the (2, 3) working volume: the capture's own, or one found from the silhouettes."""
+def working_bounds(scan: Scan, *, rule: str, simplify: float, outside: str) -> np.ndarray:
+    """Return the (2, 3) working volume: the capture's own, or one found from the silhouettes' masks."""
     return visual_hull.working_bounds(_with_masks(scan), rule=rule, tolerance=0, outside=outside)
 
 
