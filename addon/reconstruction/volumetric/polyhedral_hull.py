@@ -30,7 +30,7 @@ OPTIONS = (
     Option("rule", "center", "Where an outline runs", choices={
         "center": "midway between the centres of the silhouette's pixels and of the background's: unbiased",
         "conservative": "outside every pixel that the object touches, so that no piece of it is ever cut away"}),
-    Option("simplify", 0.25, "Distance that an outline may move to have fewer corners; with rule=conservative at most "
+    Option("simplify", 0.4, "Distance that an outline may move to have fewer corners; with rule=conservative at most "
                              f"{SURE_TOLERANCE}", unit=Unit.PIXELS, minimum=0.0, maximum=10.0),
     Option("outside", "unknown", "What lies beyond a picture's border", choices={
         "unknown": "nothing is known there, so nothing is removed",
@@ -63,7 +63,7 @@ def working_bounds(scan: Scan, *, rule: str, simplify: float, outside: str) -> n
     return visual_hull.working_bounds(_with_masks(scan), rule=rule, tolerance=0, outside=outside)
 
 
-def polyhedral_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "center", simplify: float = 0.25, outside: str = "unknown",
+def polyhedral_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "center", simplify: float = 0.4, outside: str = "unknown",
                     solids: Solids, progress: Progress = silent) -> Outcome:
     """Cut the visual hull of a scan out of the grid's box.
 
