@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from addon.errors import ScanstageError
-from addon.reconstruction.contours import trace_outlines
+from addon.reconstruction.contours import fill, trace_outlines
 from addon.reconstruction.evaluation.voxelization import inside
 from addon.reconstruction.geometry import VoxelGrid
 from addon.reconstruction.mesh import PolygonMesh, TriangleMesh
@@ -140,6 +140,16 @@ def test_a_lens_changes_nothing_where_its_distortion_is_known():
     straight = hull(outlined(cameras, BALL), grid).mesh
     bent = hull(outlined([replace(camera, distortion=(-0.2, 0.05, 0.001, -0.002, 0.0)) for camera in cameras], BALL), grid).mesh
     assert bent.is_watertight() and bent.volume() == pytest.approx(straight.volume(), rel=1e-4)
+
+
+def test_where_a_lens_cannot_be_inverted_nothing_is_known():
+    """At k1 = -0.9 pixels beyond 0.41 focal lengths, 81 pixels, have no line of sight: the corners of these pictures."""
+    cameras = [replace(camera, distortion=(-0.9, 0, 0, 0, 0)) for camera in ring(5, size=(160, 120), focal=200)]
+    contours = [outline(camera, BALL) for camera in cameras]
+    views = [View(str(i), camera, fill([loop], camera.size), black_picture)
+             for i, (camera, loop) in enumerate(zip(cameras, contours, strict=True))]
+    found = hull(views).mesh
+    assert found.is_watertight() and contains(found, points_on(replace(BALL, radius=0.98 * BALL.radius))).all()
 
 
 def test_holes_and_parts_are_kept():

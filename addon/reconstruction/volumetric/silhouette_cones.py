@@ -136,8 +136,8 @@ def background_cone(view: View, box: np.ndarray, *, rule: str, tolerance: float,
     in_front = bool(depth.min() > near)
     frame = _frame(view, pixels, in_front) if outside == "empty" else None
     known = _known(view.camera, rim=1 if rule == "conservative" and outside == "unknown" else 0)
-    if rule == "conservative":
-        tolerance = min(tolerance, SURE_TOLERANCE)
+    if rule == "conservative":  # a pixel of the ideal picture may be more than one of the real one
+        tolerance = 0.0 if view.camera.distorted else min(tolerance, SURE_TOLERANCE)
 
     def loops_of(mask: np.ndarray) -> list[np.ndarray]:
         return simplify([_undistorted(loop, view) for loop in trace_outlines(mask)], tolerance)
@@ -182,8 +182,9 @@ def _known(camera: Camera, rim: int) -> np.ndarray:
     known = np.zeros((height, width), bool)
     known[rim:height - rim, rim:width - rim] = True
     if camera.distorted:
-        pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
-        known &= _undistort(pixels.astype(np.float64), camera)[1].reshape(height, width)
+        pixels = np.stack(np.meshgrid(np.arange(-1.0, width + 1), np.arange(-1.0, height + 1)), axis=-1).reshape(-1, 2)
+        inverted = _undistort(pixels, camera)[1].reshape(height + 2, width + 2).astype(np.uint8)
+        known &= cv2.erode(inverted, np.ones((3, 3), np.uint8))[1:-1, 1:-1].astype(bool)  # outlines go half a pixel beyond
     return known
 
 
