@@ -25,6 +25,7 @@ from .reconstruction.mesh import TriangleMesh
 from .reconstruction.preview import render_preview, upward
 from .reconstruction.shadows import SHADOW_OPTIONS
 from .reconstruction.silhouettes import SILHOUETTE_OPTIONS
+from .reconstruction.volumetric.polyhedral_hull import Solids
 from .results.folder import REPORT, Result, check_replaceable, read_result, report_section, write_result
 from .results.ply import read_ply
 
@@ -39,7 +40,7 @@ def reconstruct_options(method: str) -> tuple[Option, ...]:
 
 
 def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.DEFAULT_VOXELS, bounds: np.ndarray | None = None,
-                options: Mapping[str, Value] | None = None, progress: Progress = silent) -> dict:
+                options: Mapping[str, Value] | None = None, solids: Solids | None = None, progress: Progress = silent) -> dict:
     """Reconstruct a capture set into a result folder.
 
     Parameters
@@ -52,6 +53,8 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
         The working volume in the object frame.
     options : mapping, optional
         See `reconstruct_options`.
+    solids : Solids, optional
+        For a method that cuts solids, where this is not Blender's main thread; otherwise Blender is asked here.
 
     Returns
     -------
@@ -69,17 +72,29 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     own = methods.check_call(method, voxels=voxels, bounds=bounds, options=own)
     if own.get("rule") == "center":
         inputs["silhouettes"].setdefault("conservative", False)  # the rule is unbiased only with masks that are
+    if solids is None and methods.find_method(method).cuts_solids:
+        solids = _blender_solids(method)
     scan = load_scan(capture, inputs["silhouettes"], part_of(progress, 0.0, 0.2), shadow_options=inputs.get("lights"))
-    found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, progress=part_of(progress, 0.2, 0.9))
+    found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, solids=solids,
+                                progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
     report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": inputs["silhouettes"],
               **({"shadows": inputs["lights"]} if "lights" in inputs else {})}
     up = upward([view.camera for view in scan.views])
     preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
     write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview,
-                 layers=found.layers, pictures=found.pictures)
+                 layers=found.layers, pictures=found.pictures, mesh=found.mesh)
     progress(1.0, "Result written")
     return report
+
+
+def _blender_solids(method: str) -> Solids:
+    try:
+        from .results.booleans import solver
+    except ModuleNotFoundError as error:
+        raise ScanstageError(f"method {method} cuts solids with Blender's solver, and there is no {error.name} in this Python; run it in "
+                             "Blender, or by scripts/scanstage.py") from None
+    return solver()
 
 
 def _check_place(out: Path, capture: Path) -> None:
@@ -128,7 +143,7 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     values = resolve(EVALUATION_OPTIONS, options or {}, "evaluate")
     result = read_result(folder)
     truth = truth_of(result) if truth is None else truth
-    measures = evaluate(result.volume, result.surface, truth, progress=progress, **values)
+    measures = evaluate(result.volume, result.mesh or result.surface, truth, progress=progress, **values)
     report_section(folder, "evaluation", measures)
     return measures
 

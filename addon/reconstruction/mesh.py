@@ -111,3 +111,38 @@ class TriangleMesh:
     def is_watertight(self) -> bool:
         """Return whether the surface is closed and all triangles agree on which side is out."""
         return self.edge_imbalance() == 0
+
+
+@dataclass(frozen=True)
+class PolygonMesh:
+    """Plane polygons over shared vertices: the form in which solids are cut, since every cut would divide triangles anew.
+
+    Parameters
+    ----------
+    vertices : (v, 3) float64 array
+    corners : (c,) int32 array
+        The polygons' vertices, one polygon after the other, each counter-clockwise seen from outside.
+    starts : (f,) int32 array
+        Where in ``corners`` each polygon begins.
+    """
+
+    vertices: np.ndarray
+    corners: np.ndarray
+    starts: np.ndarray
+
+    @classmethod
+    def joined(cls, vertices: np.ndarray, *faces: np.ndarray) -> PolygonMesh:
+        """Return the mesh of several (f, k) arrays of faces, each of one number of corners."""
+        sizes = np.concatenate([np.full(len(part), part.shape[1]) for part in faces])
+        corners = np.concatenate([part.ravel() for part in faces]).astype(np.int32)
+        return cls(vertices, corners, (np.cumsum(sizes) - sizes).astype(np.int32))
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """The (f,) number of corners of every polygon."""
+        return np.diff(self.starts, append=len(self.corners))
+
+    def without(self, polygons: np.ndarray) -> PolygonMesh:
+        """Return the mesh without the polygons where a (f,) bool array is True."""
+        sizes = self.sizes[~polygons]
+        return PolygonMesh(self.vertices, self.corners[np.repeat(~polygons, self.sizes)], (np.cumsum(sizes) - sizes).astype(np.int32))

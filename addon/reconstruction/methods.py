@@ -20,11 +20,13 @@ from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
 from .geometry import VoxelGrid
+from .mesh import TriangleMesh
 from .outcome import Outcome, VoxelLayer
 from .scan import Scan
-from .volumetric import shadow_carving, visual_hull
+from .volumetric import polyhedral_hull, shadow_carving, visual_hull
 from .volumetric.coloring import SurfaceColors, color_surface
 from .volumetric.item_buffer import reprojection_iou
+from .volumetric.polyhedral_hull import Solids
 from .volumetric.surface import Surface, extract_surface
 from .volumetric.volume import BRICK, SparseVolume
 
@@ -51,6 +53,8 @@ class Method:
         ``function(scan, grid, *, progress, **options) -> Outcome``.
     bounds : callable
         ``bounds(scan, **options) -> (2, 3) array``: the working volume where the user gives none.
+    cuts_solids : bool
+        Whether the function takes ``solids``, a solver that only Blender has.
     """
 
     name: str
@@ -60,6 +64,7 @@ class Method:
     options: tuple[Option, ...]
     function: Callable[..., Outcome]
     bounds: Callable[..., np.ndarray]
+    cuts_solids: bool = False
 
 
 METHODS = {method.name: method for method in (
@@ -67,6 +72,9 @@ METHODS = {method.name: method for method in (
            ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds),
     Method("shadow-carving", "Shadow Carving", "The visual hull, less the hollows that the shadows of an array of lights show to be empty",
            ("silhouettes", "lights"), shadow_carving.OPTIONS, shadow_carving.shadow_carving, shadow_carving.working_bounds),
+    Method("polyhedral-hull", "Polyhedral Hull", "The visual hull as a polyhedron, exact for the silhouettes' outlines",
+           ("silhouettes",), polyhedral_hull.OPTIONS, polyhedral_hull.polyhedral_hull, polyhedral_hull.working_bounds,
+           cuts_solids=True),
 )}
 
 
@@ -84,6 +92,7 @@ class Reconstruction:
     report : dict
         Plain JSON values: method, options, grid, counts, seconds, peak memory, warnings.
     layers, pictures : mapping
+    mesh : TriangleMesh, optional
         As in `Outcome`.
     """
 
@@ -93,6 +102,7 @@ class Reconstruction:
     report: dict
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
     pictures: Mapping[str, np.ndarray] = field(default_factory=dict)
+    mesh: TriangleMesh | None = None
 
 
 @dataclass
@@ -116,7 +126,8 @@ def find_method(name: str) -> Method:
 
 
 def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds: np.ndarray | None = None,
-                options: Mapping[str, Value] | None = None, progress: Progress = silent) -> Reconstruction:
+                options: Mapping[str, Value] | None = None, solids: Solids | None = None,
+                progress: Progress = silent) -> Reconstruction:
     """Run a method on a scan: carve, extract the surface, colour it, and compare it with the silhouettes.
 
     Parameters
@@ -130,6 +141,8 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         The working volume in the object frame; otherwise the scan's, or one found from the views.
     options : mapping, optional
         The method's options.
+    solids : Solids, optional
+        For methods that cut solids.
 
     Raises
     ------
@@ -138,13 +151,16 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     """
     entry = find_method(method)
     values = check_call(method, voxels=voxels, bounds=bounds, options=options)
+    if entry.cuts_solids and solids is None:
+        raise ScanstageError(f"method {method} cuts solids with Blender's solver; run it where Blender is, or give `solids`")
+    tools = {"solids": solids} if entry.cuts_solids else {}
     watch = Stopwatch()
     with watch.step("bounds"):
         box = bounds if bounds is not None else entry.bounds(scan, **values)
         _refuse_too_large(box, voxels, scan)
         grid = _grid(box, voxels)
     with watch.step("carve"):
-        outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **values)
+        outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **tools, **values)
     volume, found = outcome.volume, dict(outcome.report)
     with watch.step("surface"):
         surface = outcome.surface or extract_surface(volume)
@@ -163,7 +179,7 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         "silhouette_iou": {"mean": round(float(np.mean(list(ious.values()))), 4) if ious else None, "views": ious},
         "seconds": watch.seconds, "peak_memory": peak_memory(), "warnings": warnings, **found,
     }
-    return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures)
+    return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures, outcome.mesh)
 
 
 def _silhouette_ious(surface: Surface, grid: VoxelGrid, scan: Scan, progress: Progress) -> dict[str, float]:

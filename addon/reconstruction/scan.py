@@ -54,6 +54,9 @@ class View:
         The same camera and pose under single lights of an array.
     shadows : ShadowMasks, optional
         The shadows of those lights, in their order.
+    contours : tuple of (n, 2) array, optional
+        The silhouette as closed outlines in the picture's pixels, finer than a mask can be: True is what lies inside an odd
+        number of them, so that holes are outlines, too. Methods that work on outlines take them in the mask's place.
     """
 
     name: str
@@ -62,6 +65,7 @@ class View:
     read_image: Callable[[], np.ndarray]
     lit: tuple[LitPicture, ...] = ()
     shadows: ShadowMasks | None = None
+    contours: tuple[np.ndarray, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,12 @@ from ..options import Option, Value, resolve
 from ..progress import Progress, silent
 from .folder import read_result
 from .materials import remove_if_unused
-from .objects import add_voxel_mesh
+from .objects import add_polygon_mesh, add_voxel_mesh
 from .vox import write_vox
 
 if TYPE_CHECKING:
     from ..reconstruction.geometry import VoxelGrid
+    from ..reconstruction.mesh import TriangleMesh
     from ..reconstruction.volumetric.surface import Surface
 
 
@@ -67,13 +68,13 @@ def export_result(folder, path, options: Mapping[str, Value] | None = None, prog
     result = read_result(folder)
     progress(0.5, f"Writing {Path(path).name}")
     export_mesh(result.surface, result.colors and result.colors.rgb, path, grid=result.volume.grid,
-                method=str(result.report.get("method", "")), **options)
+                method=str(result.report.get("method", "")), mesh=result.mesh, **options)
     progress(1.0, "Done")
-    return len(result.surface.quads)
+    return len(result.surface.quads if result.mesh is None or Path(path).suffix.lower() == ".vox" else result.mesh.triangles)
 
 
 def export_mesh(surface: Surface, rgb: np.ndarray | None, path, *, grid: VoxelGrid, frame=None, method: str = "",
-                smooth: bool = False) -> None:
+                smooth: bool = False, mesh: TriangleMesh | None = None) -> None:
     """Write a coloured voxel mesh, whole or not at all. The object in the file has the file's name.
 
     Parameters
@@ -92,6 +93,8 @@ def export_mesh(surface: Surface, rgb: np.ndarray | None, path, *, grid: VoxelGr
         As for `add_voxel_mesh`; kept in a .blend.
     smooth : bool
         As for `add_voxel_mesh`. In .ply and .obj the colours of neighbouring voxels then run into each other.
+    mesh : TriangleMesh, optional
+        The surface that the method found itself: written in place of the voxels', as it is, but to .vox.
 
     Raises
     ------
@@ -108,8 +111,12 @@ def export_mesh(surface: Surface, rgb: np.ndarray | None, path, *, grid: VoxelGr
     if ending in _COLORS_ON_VERTICES and rgb is not None and not smooth:
         surface = split_voxels(surface)
     with _own_scene(path.stem) as scene:
-        add_voxel_mesh(path.stem, surface, rgb, collection=scene.collection, grid=grid, frame=frame, method=method,
-                       smooth=smooth, replace=False)
+        if mesh is None:
+            add_voxel_mesh(path.stem, surface, rgb, collection=scene.collection, grid=grid, frame=frame, method=method,
+                           smooth=smooth, replace=False)
+        else:
+            add_polygon_mesh(path.stem, mesh.vertices, mesh.triangles, collection=scene.collection, frame=frame, method=method,
+                             replace=False)
         _write_whole(path, lambda temporary: _WRITERS[ending](scene, str(temporary)))
 
 

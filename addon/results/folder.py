@@ -8,7 +8,8 @@
 | ``volume.npz`` | ``occupancy`` bool ``[x, y, z]``, ``origin``, ``voxel_size``, ``surface_voxels`` (s, 3) int32, |
 | | ``surface_colors`` (s, 3) float32 linear, ``surface_views`` (s,) uint16 |
 | | and the layers (see `layers`) |
-| ``mesh.ply`` | the voxels' faces as quads, with sRGB colours at the vertices |
+| ``mesh.ply`` | the voxels' faces as quads, with sRGB colours at the vertices; where ``result.json`` says ``"mesh": "triangles"``, |
+| | the surface that the method found itself, in triangles |
 | ``preview.png`` | a picture of it |
 | ``pictures/*.png`` | what the method has to show besides, where it has |
 
@@ -31,18 +32,20 @@ from ..errors import ScanstageError
 from ..files import replacing, sibling
 from ..reconstruction.color import linear_to_srgb
 from ..reconstruction.geometry import VoxelGrid
+from ..reconstruction.mesh import TriangleMesh
 from ..reconstruction.outcome import VoxelLayer
 from ..reconstruction.volumetric.coloring import SurfaceColors
 from ..reconstruction.volumetric.surface import Surface, extract_surface
 from ..reconstruction.volumetric.volume import SparseVolume
 from .layers import layer_arrays, layer_fields, read_layers
 from .npz import AGAIN, check_size, open_volume, write_volume
-from .ply import write_ply
+from .ply import read_ply, write_ply
 
 FORMAT, VERSION = "scanstage-result", 1
 REPORT, VOLUME, MESH, PREVIEW, PICTURES = "result.json", "volume.npz", "mesh.ply", "preview.png", "pictures"
+_TRIANGLES = "triangles"
 MAX_REPORT = 1 << 24
-_OURS = ("format", "version", "grid", "layers")
+_OURS = ("format", "version", "grid", "layers", "mesh")
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ class Result:
         One row for each of ``surface.voxels``; None for a method that finds no colours.
     layers : mapping of str to VoxelLayer
         What the method says of chosen voxels.
+    mesh : TriangleMesh, optional
+        The surface, where the method finds it finer than voxels can show.
     """
 
     folder: Path
@@ -69,6 +74,7 @@ class Result:
     surface: Surface
     colors: SurfaceColors | None
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
+    mesh: TriangleMesh | None = None
 
 
 def check_replaceable(folder) -> None:
@@ -97,7 +103,7 @@ def check_replaceable(folder) -> None:
 
 def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: SurfaceColors | None, report: dict,
                  preview: np.ndarray, layers: Mapping[str, VoxelLayer] | None = None,
-                 pictures: Mapping[str, np.ndarray] | None = None) -> None:
+                 pictures: Mapping[str, np.ndarray] | None = None, mesh: TriangleMesh | None = None) -> None:
     """Write a result folder, in place of an older result or an empty folder.
 
     Parameters
@@ -114,6 +120,8 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
     layers : mapping of str to VoxelLayer, optional
     pictures : mapping of str to (h, w, 3) uint8 array, optional
         By the names of their files, without ending.
+    mesh : TriangleMesh, optional
+        Written in place of the voxels' faces.
 
     Raises
     ------
@@ -125,7 +133,8 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
     check_replaceable(folder)
     folder = Path(folder).resolve()
     layers = layers or {}
-    text = _encode({**report, "format": FORMAT, "version": VERSION, "grid": _grid_fields(volume.grid), "layers": layer_fields(layers)})
+    text = _encode({**report, "format": FORMAT, "version": VERSION, "grid": _grid_fields(volume.grid), "layers": layer_fields(layers),
+                    **({} if mesh is None else {"mesh": _TRIANGLES})})
     files = {PREVIEW: _png(preview)} | {f"{PICTURES}/{name}.png": _png(picture) for name, picture in (pictures or {}).items()}
     arrays = {"surface_voxels": surface.voxels.astype(np.int32), **layer_arrays(layers)}
     vertex_colors = None
@@ -138,7 +147,10 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
     try:
         temporary.mkdir(parents=True)
         write_volume(temporary / VOLUME, volume, arrays)
-        write_ply(temporary / MESH, surface.vertices, surface.quads, vertex_colors=vertex_colors)
+        if mesh is None:
+            write_ply(temporary / MESH, surface.vertices, surface.quads, vertex_colors=vertex_colors)
+        else:
+            write_ply(temporary / MESH, mesh.vertices, mesh.triangles, double=True)
         if pictures:
             (temporary / PICTURES).mkdir()
         for name, data in files.items():
@@ -178,7 +190,8 @@ def read_result(folder) -> Result:
                 raise ScanstageError(f"{folder / VOLUME}: surface_colors holds a colour that is not finite; {AGAIN}")
             colors = SurfaceColors(rgb, file.array("surface_views", "<u2", (len(rows),))[rows])
         layers = read_layers(file, report.get("layers", {}), grid, folder / REPORT)
-    return Result(folder, report, volume, surface, colors, layers)
+    mesh = read_ply(folder / MESH) if report.get("mesh") == _TRIANGLES else None
+    return Result(folder, report, volume, surface, colors, layers, mesh)
 
 
 def report_section(folder, name: str, section: dict) -> None:

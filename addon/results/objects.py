@@ -97,13 +97,13 @@ def add_voxel_mesh(name: str, surface: Surface, rgb: np.ndarray | None, *, colle
 
 
 def add_polygon_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, collection: bpy.types.Collection,
-                     frame=None) -> bpy.types.Object:
+                     frame=None, method: str = "", replace: bool = True) -> bpy.types.Object:
     """Add a mesh without colours (a truth out of a file, a polyhedral hull), in plain clay.
 
     Parameters
     ----------
     name : str
-        An earlier Scanstage result of this name is replaced.
+        Made unique by Blender if something else has it.
     vertices : (v, 3) array
         In the object frame.
     faces : (f, k) int array
@@ -111,11 +111,18 @@ def add_polygon_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, coll
     collection : bpy.types.Collection
     frame : (4, 4) array, optional
         Object frame to world. Default: the identity.
+    method : str
+        What made the result, in words for the user; empty for a truth.
+    replace : bool
+        Remove an earlier Scanstage result of this name first.
     """
     mesh = mesh_from_arrays(name, vertices, faces)
-    remove_result(name)
+    if replace:
+        remove_result(name)
     mesh.materials.append(clay_material())
-    return _add_object(name, mesh, collection, frame)
+    added = _add_object(name, mesh, collection, frame)
+    added["method"] = method
+    return added
 
 
 def remove_result(name: str) -> None:
@@ -141,17 +148,22 @@ def mesh_from_arrays(name: str, vertices: np.ndarray, faces: np.ndarray) -> bpy.
     ValueError
         A face names a vertex that does not exist.
     """
-    vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
+    faces = np.asarray(faces, np.int32)
     if len(faces) and not (0 <= faces.min() and faces.max() < len(vertices)):
         raise ValueError(f"faces must hold indices from 0 to {len(vertices) - 1}")
+    return polygon_mesh_from_arrays(name, vertices, faces.ravel(), np.arange(0, faces.size, faces.shape[1], dtype=np.int32))
+
+
+def polygon_mesh_from_arrays(name: str, vertices: np.ndarray, corners: np.ndarray, starts: np.ndarray) -> bpy.types.Mesh:
+    """Return a new flat-shaded mesh, laid out as `PolygonMesh` is."""
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(len(vertices))
-    mesh.loops.add(faces.size)
-    mesh.polygons.add(len(faces))
-    if len(faces):
-        mesh.attributes["position"].data.foreach_set("vector", vertices.ravel())
-        mesh.attributes[".corner_vert"].data.foreach_set("value", faces.ravel())
-        mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, faces.shape[1], dtype=np.int32))
+    mesh.loops.add(len(corners))
+    mesh.polygons.add(len(starts))
+    if len(starts):
+        mesh.attributes["position"].data.foreach_set("vector", np.asarray(vertices, np.float32).ravel())
+        mesh.attributes[".corner_vert"].data.foreach_set("value", corners)
+        mesh.polygons.foreach_set("loop_start", starts)
     mesh.update(calc_edges=True)
     mesh.shade_flat()
     return mesh

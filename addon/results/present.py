@@ -41,14 +41,14 @@ def results_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
 
 
 def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False) -> bpy.types.Object:
-    """Put a result's voxel mesh into the scene, beside the object; an earlier one is replaced.
+    """Put a result's mesh, or its voxels', into the scene, beside the object; an earlier one is replaced.
 
     Parameters
     ----------
     scene : bpy.types.Scene
     result : Result
     smooth : bool
-        Take off the voxels' steps with a live modifier.
+        Take off the voxels' steps with a live modifier; a mesh of the method's own has none.
 
     Raises
     ------
@@ -62,6 +62,9 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
     with frame_kept(scene):
         beside = _staged(scene)[0]
     beside[:3, 3] += [(1 + _GAP) * float(np.ptp(result.surface.vertices[:, 0])), 0, 0]
+    if result.mesh is not None:
+        return add_polygon_mesh(RESULT_NAME, result.mesh.vertices, result.mesh.triangles, collection=home, frame=beside,
+                                method=_method(result), replace=False)
     attributes = {} if result.colors is None else {"views": result.colors.views.astype(np.int32)}
     return add_voxel_mesh(RESULT_NAME, result.surface, result.colors and result.colors.rgb, collection=home,
                           grid=result.volume.grid, frame=beside, method=_method(result), attributes=attributes,
@@ -69,8 +72,9 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
 
 
 def face_errors(result: Result, truth: TriangleMesh) -> np.ndarray:
-    """Return the signed distance of every face's centre from the truth: positive where there is too much."""
-    return vertex_distances(result.surface.vertices[result.surface.quads].mean(axis=1), truth)
+    """Return the signed distance of the centre of every face that is shown from the truth: positive where there is too much."""
+    corners = result.surface.vertices[result.surface.quads] if result.mesh is None else result.mesh.corners()
+    return vertex_distances(corners.mean(axis=1), truth)
 
 
 def show_comparison(scene: bpy.types.Scene, result: Result, truth: TriangleMesh, errors: np.ndarray) -> bpy.types.Collection:
@@ -109,8 +113,12 @@ def _compared(scene: bpy.types.Scene, result: Result, truth: TriangleMesh, error
     if staged is None or not _is_truth(scene, truth):
         staged = add_polygon_mesh("Compared Truth", truth.vertices, truth.triangles, collection=home, frame=table)
         made.append(staged)
-    made.append(add_voxel_mesh("Compared Result", result.surface, result.colors and result.colors.rgb, collection=home,
-                               grid=result.volume.grid, frame=table, method=_method(result)))
+    if result.mesh is not None:
+        made.append(add_polygon_mesh("Compared Result", result.mesh.vertices, result.mesh.triangles, collection=home, frame=table,
+                                     method=_method(result)))
+    else:
+        made.append(add_voxel_mesh("Compared Result", result.surface, result.colors and result.colors.rgb, collection=home,
+                                   grid=result.volume.grid, frame=table, method=_method(result)))
     bpy.context.view_layer.update()
     limit = max(float(np.percentile(np.abs(errors), _SHARE_IN_RANGE)), result.volume.grid.voxel_size)
     try:

@@ -33,7 +33,7 @@ class MeshReader(bpy.types.RenderEngine):
         """Read the render's dependency graph; Blender calls this once for each view layer."""
         if type(self).parts:
             return  # an object that several view layers show is still one object
-        type(self).parts = [_triangles(instance.object.data, np.array(instance.matrix_world))
+        type(self).parts = [mesh_triangles(instance.object.data, np.array(instance.matrix_world))
                             for instance in depsgraph.object_instances if self._is_wanted(instance)]
 
     def _is_wanted(self, instance: bpy.types.DepsgraphObjectInstance) -> bool:
@@ -77,7 +77,8 @@ def render_mesh(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> 
     return _joined(parts)
 
 
-def _triangles(mesh: bpy.types.Mesh, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mesh_triangles(mesh: bpy.types.Mesh, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices (n, 3) of a mesh in the world, and its triangles (m, 3), counter-clockwise seen from outside."""
     mesh.calc_loop_triangles()
     local = np.zeros(len(mesh.vertices) * 3, np.float32)
     corners = np.zeros(len(mesh.loop_triangles) * 3, np.int32)

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future
+from queue import Empty, SimpleQueue
 
 import bpy
 
@@ -19,11 +21,55 @@ from ..errors import Cancelled, ScanstageError
 _TICK = 0.05  # seconds
 
 
-def in_thread(function: Callable, *args, **keywords) -> Generator[tuple[float, str], None, object]:
+class MainThread:
+    """Lets a thread have functions called by the thread that runs the generator of `in_thread`: Blender's main one."""
+
+    def __init__(self) -> None:
+        self._calls: SimpleQueue = SimpleQueue()
+
+    def calling(self, function: Callable) -> Callable:
+        """Return a function for the worker that has ``function`` called there, and waits for what it returns or raises."""
+        def call(*args):
+            answer = Future()
+            self._calls.put((answer, function, args))
+            return answer.result()
+        return call
+
+    def wake(self) -> None:
+        """End the wait of `serve`."""
+        self._calls.put(None)
+
+    def serve(self, timeout: float) -> None:
+        """Make the next call that the worker asks for, if it does within ``timeout`` seconds."""
+        request = self._next(timeout)
+        if request is None:
+            return
+        answer, function, args = request
+        try:
+            answer.set_result(function(*args))
+        except BaseException as error:  # noqa: BLE001 - raised again in the worker, which asked for it
+            answer.set_exception(error)
+
+    def refuse(self, timeout: float) -> None:
+        """Answer the next call, if one comes within ``timeout`` seconds, with `Cancelled`."""
+        request = self._next(timeout)
+        if request is not None:
+            request[0].set_exception(Cancelled())
+
+    def _next(self, timeout: float) -> tuple[Future, Callable, tuple] | None:
+        try:
+            return self._calls.get(timeout=timeout)
+        except Empty:
+            return None
+
+
+def in_thread(function: Callable, *args, main: MainThread | None = None, **keywords) -> Generator[tuple[float, str], None, object]:
     """Run ``function(*args, progress=..., **keywords)`` in a thread; yield its progress and return its result.
 
+    What the function has called through ``main`` is called by this generator, between two steps.
     Closing the generator makes the function's next progress report raise `Cancelled`, and waits for it to end.
     """
+    main = main or MainThread()
     latest, outcome, stop = [(0.0, "Starting")], {}, threading.Event()
 
     def progress(fraction: float, message: str) -> None:
@@ -36,16 +82,19 @@ def in_thread(function: Callable, *args, **keywords) -> Generator[tuple[float, s
             outcome["result"] = function(*args, progress=progress, **keywords)
         except BaseException as error:  # noqa: BLE001 - raised again below, in the thread that started this one
             outcome["error"] = error
+        finally:
+            main.wake()
 
     worker = threading.Thread(target=run, name=f"scanstage {function.__name__}", daemon=True)
     worker.start()
     try:
         while worker.is_alive():
             yield latest[0]
-            worker.join(_TICK)
+            main.serve(_TICK)
     finally:
         stop.set()
-        worker.join()
+        while worker.is_alive():
+            main.refuse(_TICK)
     if "error" in outcome:
         raise outcome["error"]
     return outcome["result"]

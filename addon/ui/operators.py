@@ -23,11 +23,12 @@ from ..reconstruction.methods import COMMON_COUNTS, METHODS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..render.capture import capture_frames
 from ..results import folder as results
+from ..results.booleans import solver
 from ..results.export import export_result
 from ..results.present import face_errors, show_comparison, show_result
 from ..stage import ownership, staging
 from ..stage.presets import PRESETS
-from .jobs import Job, idle, in_thread
+from .jobs import Job, MainThread, idle, in_thread
 from .masks import show_masks
 from .properties import field_name, values_of
 from .viewport import frame_stage, show_colors
@@ -172,7 +173,7 @@ class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
 
 
 class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
-    """Run the method on the captures and put the coloured voxel mesh beside the object"""
+    """Run the method on the captures and put the resulting mesh beside the object"""
 
     bl_idname = "scanstage.reconstruct"
     bl_label = "Reconstruct"
@@ -189,8 +190,9 @@ class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
         if "silhouettes" in method.needs:
             options |= changed_values(settings.silhouettes)
         bounds = np.array([settings.bounds_lower, settings.bounds_upper]) if settings.use_bounds else None
-        report = yield from in_thread(workflow.reconstruct, capture_folder(context.scene), method.name, out,
-                                      voxels=settings.voxels, bounds=bounds, options=options)
+        main = MainThread()
+        report = yield from in_thread(workflow.reconstruct, capture_folder(context.scene), method.name, out, main=main,
+                                      voxels=settings.voxels, bounds=bounds, options=options, solids=solver(main.calling))
         found = yield from in_thread(_read, out)
         show_result(scene, found, smooth=settings.smooth)
         settings.result_lines, settings.measures = "\n".join(summary(report)), ""

@@ -34,9 +34,9 @@ def scan():
 
 
 def keywords(function) -> dict:
-    """Return the keyword-only parameters of a function and their defaults, but for its progress."""
+    """Return the keyword-only parameters of a function and their defaults, but for its progress and the solver that it may need."""
     parameters = inspect.signature(function).parameters.values()
-    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name != "progress"}
+    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("progress", "solids")}
 
 
 # --- the table ---------------------------------------------------------------------------------------------------------------

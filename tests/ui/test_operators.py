@@ -3,6 +3,7 @@
 """Every button, called without a window, does what the function behind it does."""
 
 import json
+import threading
 
 import bpy
 import numpy as np
@@ -15,6 +16,7 @@ from addon.errors import Cancelled, ScanstageError
 from addon.reconstruction.methods import METHODS
 from addon.reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from addon.results.folder import read_result
+from addon.results.ply import read_ply
 from addon.stage.presets import PRESETS
 
 
@@ -83,6 +85,26 @@ def test_options_of_the_panel_reach_the_method(captured, tmp_path):
     assert report["options"]["rule"] == "center"
     assert report["silhouette"] == {"dilate": 2, "conservative": False}
     assert report["grid"]["shape"] == [40, 40, 40] and report["grid"]["voxel_size"] == pytest.approx(0.005)
+
+
+def test_a_method_that_cuts_solids_has_them_cut_between_two_steps(captured, tmp_path):
+    settings = captured.scanstage
+    settings.method = "polyhedral-hull"
+    before = {name: len(getattr(bpy.data, name)) for name in ("scenes", "meshes", "objects")}
+    assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    shown = bpy.data.objects["Result"]
+    assert {name: len(getattr(bpy.data, name)) - count for name, count in before.items()} == {"scenes": 0, "meshes": 1, "objects": 1}
+    by_hand = tmp_path / "by hand"
+    report = workflow.reconstruct(tmp_path / "scanstage" / "capture", "polyhedral-hull", by_hand, voxels=40)
+    assert report["polyhedron"]["watertight"] and report["silhouette"] == {"conservative": False}
+    mine, theirs = read_result(by_hand).mesh, read_result(tmp_path / "scanstage" / "result").mesh
+    np.testing.assert_array_equal(mine.vertices, theirs.vertices)
+    np.testing.assert_array_equal(mine.triangles, theirs.triangles)
+    assert len(shown.data.polygons) == len(mine.triangles) and f"Triangles: {len(mine.triangles):,}" in settings.result_lines
+    assert bpy.ops.scanstage.evaluate() == {'FINISHED'}
+    assert json.loads(settings.measures)["surface"]["completeness"] > 0.5
+    assert bpy.ops.scanstage.export_mesh(filepath=str(tmp_path / "mesh.ply")) == {'FINISHED'}
+    assert read_ply(tmp_path / "mesh.ply").volume() == pytest.approx(report["polyhedron"]["volume"], rel=1e-4)
 
 
 @pytest.mark.parametrize("operator, reason", [
@@ -186,3 +208,42 @@ def test_a_thread_reports_returns_raises_and_stops(scene):
     next(generator)
     generator.close()
     assert seen[-1] == "stopped"
+
+
+def test_a_thread_has_calls_made_by_who_runs_the_generator_and_is_refused_when_it_closes(scene):
+    from addon.ui.jobs import MainThread, in_thread
+
+    here, seen = threading.current_thread(), []
+
+    def twice(value):
+        assert threading.current_thread() is here
+        if value < 0:
+            raise ValueError("negative")
+        return 2 * value
+
+    def work(call, *, progress):
+        assert threading.current_thread() is not here
+        with pytest.raises(ValueError, match="negative"):
+            call(-1)
+        return call(call(3))
+
+    main = MainThread()
+    generator = in_thread(work, main.calling(twice), main=main)
+    with pytest.raises(StopIteration) as end:
+        while True:
+            next(generator)
+    assert end.value.value == 12
+
+    def endless(call, *, progress):
+        try:
+            while True:
+                call(1)
+        except Cancelled:
+            seen.append("refused")
+            raise
+
+    main = MainThread()
+    generator = in_thread(endless, main.calling(twice), main=main)
+    next(generator)
+    generator.close()
+    assert seen == ["refused"]

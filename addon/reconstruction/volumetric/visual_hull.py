@@ -104,7 +104,7 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
     _refuse_empty(volume, counts, names)
     dense = grid.count * len(tests)
     return Outcome(volume, {"counts": {"tests": counts.tests, "tests_dense": dense},
-                            "warnings": _warnings(scan) + (_undersampled(scan, grid) if rule == "conservative" else [])})
+                            "warnings": capture_warnings(scan) + (_undersampled(scan, grid) if rule == "conservative" else [])})
 
 
 def _refuse_empty(volume: SparseVolume, counts: Counts, names: Sequence[str]) -> None:
@@ -118,7 +118,7 @@ def _refuse_empty(volume: SparseVolume, counts: Counts, names: Sequence[str]) ->
                          "bounds, or let some views disagree with --set tolerance=1")
 
 
-def _warnings(scan: Scan) -> list[str]:
+def capture_warnings(scan: Scan) -> list[str]:
     """Return what a user should know about the captures, one sentence each."""
     cameras = {view.name: view.camera for view in scan.views}
     found = []
