@@ -32,8 +32,8 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
 
     Each silhouette is also written to ``masks/<frame id>.png`` in the set, to be looked at, unless the set cannot be
     written to or already names a file of its own so. Frames under a projected pattern are left out: what
-    is projected changes the silhouette's look, and they share their pose with a frame that has none. Frames of one camera
-    and pose under different lights are one view (see `lighting_groups`).
+    is projected changes the silhouette's look, and they share their pose with a frame that has none; so are frames of the
+    calibration board. Frames of one camera and pose under different lights are one view (see `lighting_groups`).
 
     Parameters
     ----------
@@ -57,7 +57,10 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
     if capture.missing:
         raise ScanstageError(f"{FILE_NAME}: missing: {len(capture.missing)} of {len(capture.frames)} frames are not "
                              f"rendered yet (first: {capture.missing[0]}); run capture again to render them")
-    frames = [frame for frame in capture.frames if frame.pattern is None]
+    of_object = [frame for frame in capture.frames if frame.board_pose is None]
+    if not of_object:
+        raise ScanstageError(f"{FILE_NAME}: frames: the calibration board is in every frame; capture an object with these devices")
+    frames = [frame for frame in of_object if frame.pattern is None]
     if not frames:
         raise ScanstageError(f"{FILE_NAME}: frames: a pattern is projected in every frame; "
                              "capture at least one frame without a pattern")
