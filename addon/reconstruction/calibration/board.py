@@ -22,6 +22,7 @@ DICTIONARIES: Mapping[str, int] = MappingProxyType({
     f"{bits}X{bits}_{count}": getattr(cv2.aruco, f"DICT_{bits}X{bits}_{count}") for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)})
 MAX_SQUARES = 50  # along one side
 LEAST_CORNERS = 6  # of a partly seen board: fewer hardly bear a pose, let alone tell a wrong one
+_ENOUGH = 1280  # pixels along the longer side, for a checkerboard to be found quickly
 _REFINEMENT = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4
 _WINDOW = 0.3  # half the side of the refinement's window, in squares of a checkerboard
 _WINDOWS = 2, 15  # pixels, the least and the most of that half side
@@ -143,10 +144,11 @@ class Board:
 
     def _find_checkerboard(self, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         inner = self.columns - 1, self.rows - 1
-        found, pixels = cv2.findChessboardCornersSB(grey, inner, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if not found:
-            found, pixels = cv2.findChessboardCorners(grey, inner)
-        if not found:
+        factor = -(-max(grey.shape) // _ENOUGH)
+        pixels = _squares_of(grey, inner, factor)
+        if pixels is None and factor > 1:
+            pixels = _squares_of(grey, inner, 1)
+        if pixels is None:
             return None
         ids, pixels = np.arange(len(pixels)), self._oriented(grey, pixels.reshape(inner[1], inner[0], 2)).reshape(-1, 2)
         return ids, _refined(grey, pixels, _WINDOW)
@@ -161,6 +163,14 @@ class Board:
         seen = grey[row.clip(0, grey.shape[0] - 1), column.clip(0, grey.shape[1] - 1)].astype(float)
         sign = np.where(np.add(*np.indices(seen.shape)) % 2, -1.0, 1.0)  # the square below corner 0 has square (0, 0)'s colour
         return grid if (seen * sign).sum() <= (seen.mean() * sign).sum() else grid[::-1, ::-1]
+
+
+def _squares_of(grey: np.ndarray, inner: tuple[int, int], factor: int) -> np.ndarray | None:
+    """Return a checkerboard's corners, found in the picture reduced by a whole factor and so to about a pixel."""
+    if factor > 1:
+        grey = cv2.resize(grey, (grey.shape[1] // factor, grey.shape[0] // factor), interpolation=cv2.INTER_AREA)
+    found, pixels = cv2.findChessboardCornersSB(grey, inner, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    return factor * (pixels + 0.5) - 0.5 if found else None
 
 
 def spacing(pixels: np.ndarray) -> np.ndarray:
