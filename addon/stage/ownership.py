@@ -124,6 +124,11 @@ def with_role(stage: bpy.types.Collection, role: str) -> list[bpy.types.Object]:
     return sorted((o for o in stage.all_objects if o.get(_ROLE) == role), key=lambda o: o.name)
 
 
+def role_of(member: bpy.types.Object) -> str | None:
+    """Return the role of an object of the stage, or None of what is the user's."""
+    return member.get(_ROLE)
+
+
 def device_id(device: bpy.types.Object) -> str:
     """Return the id under which a camera or light is known in captures; a user's own is known by its name."""
     return device.get(_DEVICE) or "".join(c if c.isalnum() and c.isascii() else "-" for c in device.name).lower()
