@@ -39,10 +39,19 @@ def add_camera(stage: bpy.types.Collection, number: int, *, focal_length: float,
     return ownership.add(stage, data.name, data, "camera", device=f"camera-{number}")
 
 
+def point(device: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> None:
+    """Put a projector or laser at ``centre`` and let it shine at ``target`` with z upward in its picture; both in the world."""
+    stand(device, *look_at(centre, target))
+
+
+def stand(device: bpy.types.Object, R: np.ndarray, t: np.ndarray) -> None:
+    """Stand a device without a parent where world-to-device ``R`` (3, 3) and ``t`` (3,) say, in OpenCV's axes."""
+    device.matrix_basis = Matrix.LocRotScale(-R.T @ t, Matrix((R.T @ np.diag((1, -1, -1))).tolist()), None)
+
+
 def aim(camera: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> None:
     """Put a camera at ``centre`` and let it look at ``target`` with z upward in the picture; both in the world."""
-    R, _ = look_at(centre, target)
-    camera.matrix_basis = Matrix.LocRotScale(centre, Matrix((R.T @ np.diag((1, -1, -1))).tolist()), None)
+    point(camera, centre, target)
     distance = float(np.linalg.norm(np.asarray(target) - centre))
     camera.data.clip_start, camera.data.clip_end = distance * 1e-3, distance * 100
     camera.data.display_size = distance * 0.15

@@ -21,7 +21,6 @@ import bpy
 # isort: split
 import cv2  # bpy first: both bring libraries of their own
 import numpy as np
-from mathutils import Matrix
 
 from .. import compat
 from ..errors import ScanstageError
@@ -119,11 +118,6 @@ def optics_of(light: bpy.types.Light) -> Camera:
          [0, fx * value["Pixel Aspect"], height / 2 + value["Shift Y"] * width - 0.5],
          [0, 0, 1]]
     return Camera(K, np.eye(3), np.zeros(3), (width, height), [value[name] for name in ("K1", "K2", "P1", "P2", "K3")])
-
-
-def place(device: bpy.types.Object, camera: Camera) -> None:
-    """Stand a projector, or a camera, without a parent where ``camera`` stands."""
-    device.matrix_basis = Matrix.LocRotScale(camera.centre, Matrix((camera.R.T @ np.diag((1, -1, -1))).tolist()), None)
 
 
 def set_image(light: bpy.types.Light, image: bpy.types.Image | None) -> None:

@@ -67,7 +67,6 @@ def keyframe_value(tree: bpy.types.NodeTree, name: str, values: Sequence[float],
     """Give a Value node, known by its name, one number a frame."""
     tree.nodes[name].outputs[0].default_value = values[0]
     keyframe_steps(tree, f'nodes["{name}"].outputs[0].default_value', values, start=start)
-    mark(tree.animation_data.action)
 
 
 def light_is_on(light: bpy.types.Light) -> bool:

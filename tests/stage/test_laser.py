@@ -20,7 +20,7 @@ WIDTH = 0.12
 def lit_scene(empty_scene):
     """Return a scene with a white tilted plane, a camera and a laser that is turned, beside the camera."""
     scene = empty_scene
-    scene_settings.apply(scene, {**scene_settings.capture_settings(scene), "cycles.samples": 1, "render.resolution_x": 96,
+    scene_settings.apply(scene, {**scene_settings.capture_settings(scene), "cycles.samples": 1, "cycles.max_bounces": 0, "render.resolution_x": 96,
                                  "render.resolution_y": 72, "render.use_persistent_data": True})
     scene.world = devices.dark_world()
     x = np.cross(NORMAL, (0, 1, 0))

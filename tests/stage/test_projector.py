@@ -36,7 +36,7 @@ def lens(distortion=None, size=SIZE):
 def plane_scene(empty_scene):
     """Return a scene with a white tilted plane and a camera of 128x96 pixels before it."""
     scene = empty_scene
-    scene_settings.apply(scene, {**scene_settings.capture_settings(scene), "cycles.samples": 1, "render.resolution_x": 128,
+    scene_settings.apply(scene, {**scene_settings.capture_settings(scene), "cycles.samples": 1, "cycles.max_bounces": 0, "render.resolution_x": 128,
                                  "render.resolution_y": 96, "render.film_transparent": True})
     scene.world = devices.dark_world()
     x = np.cross(TILTED, (0, 1, 0))
@@ -55,7 +55,7 @@ def plane_scene(empty_scene):
 def add(scene, optics, number=1):
     made = projector.add_projector(scene.collection, number)
     projector.set_optics(made.data, optics)
-    projector.place(made, optics)
+    devices.stand(made, optics.R, optics.t)
     bpy.context.view_layer.update()
     return made
 
