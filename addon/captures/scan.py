@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -36,7 +37,8 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
     Each silhouette is also written to ``masks/<frame id>.png`` in the set, to be looked at, unless the set cannot be
     written to or already names a file of its own so. Frames under a projected pattern are no views of their own, since what
     is projected changes the silhouette's look: they are `View.projected` of the frame that shares their camera and pose.
-    Frames of one camera and pose under different lights are one view (see `lighting_groups`).
+    Frames of the calibration board are left out. Frames of one camera and pose under different lights are one view (see
+    `lighting_groups`).
 
     Parameters
     ----------
@@ -62,8 +64,11 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
     if capture.missing:
         raise ScanstageError(f"{FILE_NAME}: missing: {len(capture.missing)} of {len(capture.frames)} frames are not "
                              f"rendered yet (first: {capture.missing[0]}); run capture again to render them")
-    projected = _projected(folder, capture)
-    frames = [frame for frame in capture.frames if frame.pattern is None]
+    of_object = tuple(frame for frame in capture.frames if frame.board_pose is None)
+    if not of_object:
+        raise ScanstageError(f"{FILE_NAME}: frames: the calibration board is in every frame; capture an object with these devices")
+    projected = _projected(folder, replace(capture, frames=of_object))
+    frames = [frame for frame in of_object if frame.pattern is None]
     if silhouettes and not frames:
         raise ScanstageError(f"{FILE_NAME}: frames: a pattern is projected in every frame; "
                              "capture at least one frame without a pattern")

@@ -12,6 +12,7 @@ from addon.captures.scan import lighting_groups, load_scan
 from addon.captures.schema import Frame
 from addon.captures.store import read_capture, write_capture
 from addon.errors import Cancelled, ScanstageError
+from addon.reconstruction.calibration.board import Board
 from addon.reconstruction.geometry import Light
 
 SIZE = (8, 6)
@@ -50,6 +51,18 @@ def test_the_users_options_override_the_sets(capture_folder):
         load_scan(capture_folder, {"threshold": 0.99})
     with pytest.raises(ScanstageError, match="no option 'treshold'"):
         load_scan(capture_folder, {"treshold": 0.5})
+
+
+def test_frames_of_the_calibration_board_are_no_views(capture_folder):
+    capture = read_capture(capture_folder)
+    first, second = (dataclasses.replace(frame, pattern=None) for frame in capture.frames)
+    board = Board("checkerboard", 10, 7, 0.03)
+    write_capture(capture_folder, dataclasses.replace(capture, board=board, frames=(dataclasses.replace(first, board_pose="1"), second)))
+    assert [view.name for view in load_scan(capture_folder).views] == [second.id]
+    frames = tuple(dataclasses.replace(frame, board_pose="1") for frame in (first, second))
+    write_capture(capture_folder, dataclasses.replace(capture, board=board, frames=frames))
+    with pytest.raises(ScanstageError, match="^capture.json: frames: the calibration board is in every frame"):
+        load_scan(capture_folder)
 
 
 def test_masks_are_written_beside_the_captures(capture_folder):
