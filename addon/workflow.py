@@ -65,7 +65,7 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     own = methods.check_call(method, voxels=voxels, bounds=bounds, options=own)
     if own.get("rule") == "center":
         silhouette.setdefault("conservative", False)  # the rule is unbiased only with masks that are
-    scan = load_scan(capture, silhouette, part_of(progress, 0.0, 0.2))
+    scan = load_scan(capture, silhouette, part_of(progress, 0.0, 0.2), silhouettes="silhouettes" in methods.METHODS[method].needs)
     found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
     report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": silhouette}

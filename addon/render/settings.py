@@ -24,9 +24,17 @@ def capture_settings(scene: bpy.types.Scene) -> Iterator[None]:
     with frame_kept(scene):
         try:
             scene_settings.apply(scene, settings)
+            forget_geometry(scene)
             yield
         finally:
             scene_settings.apply(scene, before)
+
+
+def forget_geometry(scene: bpy.types.Scene) -> None:
+    """Let the renderer forget what it kept from earlier renders: 4.5 would show lights that were built since as they were not."""
+    persistent = scene.render.use_persistent_data
+    scene.render.use_persistent_data = False
+    scene.render.use_persistent_data = persistent
 
 
 @contextmanager

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import bpy
 
@@ -38,29 +39,42 @@ def add_camera(stage: bpy.types.Collection, number: int, *, focal_length: float,
     return ownership.add(stage, data.name, data, "camera", device=f"camera-{number}")
 
 
+def point(device: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> None:
+    """Put a projector or laser at ``centre`` and let it shine at ``target`` with z upward in its picture; both in the world."""
+    stand(device, *look_at(centre, target))
+
+
+def stand(device: bpy.types.Object, R: np.ndarray, t: np.ndarray) -> None:
+    """Stand a device without a parent where world-to-device ``R`` (3, 3) and ``t`` (3,) say, in OpenCV's axes."""
+    device.matrix_basis = Matrix.LocRotScale(-R.T @ t, Matrix((R.T @ np.diag((1, -1, -1))).tolist()), None)
+
+
 def aim(camera: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> None:
     """Put a camera at ``centre`` and let it look at ``target`` with z upward in the picture; both in the world."""
-    R, _ = look_at(centre, target)
-    camera.matrix_basis = Matrix.LocRotScale(centre, Matrix((R.T @ np.diag((1, -1, -1))).tolist()), None)
+    point(camera, centre, target)
     distance = float(np.linalg.norm(np.asarray(target) - centre))
     camera.data.clip_start, camera.data.clip_end = distance * 1e-3, distance * 100
     camera.data.display_size = distance * 0.15
 
 
-def add_headlight(stage: bpy.types.Collection, camera: bpy.types.Object, number: int,
-                  distance: float) -> bpy.types.Object:
-    """Add a point light in a camera's centre: what the camera sees is lit, with no shadow and, at one sample, no noise.
+def add_light(stage: bpy.types.Collection, camera: bpy.types.Object, number: int, distance: float, *,
+              offset: Sequence[float] = (0.0, 0.0, 0.0), size: float = 0.0) -> bpy.types.Object:
+    """Add a point light that a camera carries. In its centre it is a headlight: nothing the camera sees lies in shadow.
 
     Parameters
     ----------
     distance : float
         In metres; a white surface that faces the light from there is seen as white (radiance 1).
+    offset : (3,) sequence
+        From the camera's centre, in the camera's own axes: right, up, backward.
+    size : float
+        Radius of the luminous sphere; 0 casts hard shadows and is, at one sample, free of noise.
     """
     data = bpy.data.lights.new(f"Scanstage Light {number}", "POINT")
-    data.shadow_soft_size = 0.0
+    data.shadow_soft_size = size
     data.energy = 4 * math.pi ** 2 * distance ** 2  # radiance of a matte surface: albedo * energy / (2 pi distance)^2
     light = ownership.add(stage, data.name, data, "light", device=f"light-{number}")
-    light.parent = camera
+    light.parent, light.location = camera, offset
     return light
 
 

@@ -24,6 +24,7 @@ _SETTINGS = "scanstage_settings_before"
 _WORLD = "scanstage_world_before"
 _CAMERA = "scanstage_camera_before"
 _MARKERS = "scanstage_marker_cameras_before"
+_ACTION = "scanstage_action_before"
 _HIDDEN = "scanstage_hidden"
 _ROLE = "scanstage_role"
 _DEVICE = "scanstage_device"
@@ -63,6 +64,7 @@ def create_stage(scene: bpy.types.Scene, preset: str, options: dict[str, object]
     paths = (*scene_settings.capture_settings(scene), *scene_settings.STAGE_SETTINGS)
     stage[_SETTINGS] = json.dumps(scene_settings.snapshot(scene, paths))
     stage[_WORLD], stage[_CAMERA] = scene.world, scene.camera
+    stage[_ACTION] = scene.animation_data.action if scene.animation_data else None
     # A marker's camera overrides the scene's in every render.
     bound = [marker for marker in scene.timeline_markers if marker.camera is not None]
     stage[_MARKERS] = {f"{marker.frame} {marker.name}": marker.camera for marker in bound}
@@ -120,6 +122,11 @@ def marking_new() -> Iterator[None]:
 def with_role(stage: bpy.types.Collection, role: str) -> list[bpy.types.Object]:
     """Return the stage's objects of one role, in the order of their names."""
     return sorted((o for o in stage.all_objects if o.get(_ROLE) == role), key=lambda o: o.name)
+
+
+def role_of(member: bpy.types.Object) -> str | None:
+    """Return the role of an object of the stage, or None of what is the user's."""
+    return member.get(_ROLE)
 
 
 def device_id(device: bpy.types.Object) -> str:
@@ -189,7 +196,6 @@ def _show_hidden(stage: bpy.types.Collection | None) -> None:
 
 
 def _restore_scene(scene: bpy.types.Scene, stage: bpy.types.Collection) -> None:
-    scene_settings.apply(scene, json.loads(stage[_SETTINGS]))
     ours = set(stage.all_objects)
     for marker in [m for m in scene.timeline_markers if m.camera in ours]:
         scene.timeline_markers.remove(marker)
@@ -201,6 +207,10 @@ def _restore_scene(scene: bpy.types.Scene, stage: bpy.types.Collection) -> None:
         scene.camera = stage.get(_CAMERA)
     if scene.world is None or is_marked(scene.world):
         scene.world = stage.get(_WORLD)
+    animation = scene.animation_data
+    if animation and (animation.action is None or is_marked(animation.action)):
+        animation.action = stage.get(_ACTION)
+    scene_settings.apply(scene, json.loads(stage[_SETTINGS]))  # last: a setting may have been animated
 
 
 def _remove_orphans() -> None:

@@ -18,14 +18,12 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
     "cycles.use_adaptive_sampling": False,
     "cycles.use_denoising": False,
     "cycles.use_fast_gi": False,
-    # Direct light only: a diffuse bounce would be noise at one sample and colour every silhouette's neighbourhood.
-    "cycles.max_bounces": 0,
-    "cycles.diffuse_bounces": 0,
     "cycles.glossy_bounces": 0,
     "cycles.transmission_bounces": 0,
     "cycles.volume_bounces": 0,
     "cycles.sample_clamp_direct": 0.0,
     "cycles.light_sampling_threshold": 0.0,
+    "cycles.use_light_tree": False,  # lights are sampled in turn: as many samples as lights see each of them once
     "cycles.film_exposure": 1.0,
     # The ray goes through the pixel's centre. A box filter ignores its width and always spans a whole pixel.
     "cycles.pixel_filter_type": "GAUSSIAN",
@@ -62,6 +60,9 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
 # What a preset decides for its scene, besides the table above.
 STAGE_SETTINGS = (
     "cycles.samples",
+    # None for most: a diffuse bounce is noise at one sample and colours every silhouette's neighbourhood.
+    "cycles.max_bounces",
+    "cycles.diffuse_bounces",
     "render.film_transparent",
     "render.filepath",
     "render.resolution_x",

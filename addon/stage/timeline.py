@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import bpy
 
 from .. import compat
-from .ownership import mark
+from .ownership import is_marked, mark
 
 SWITCH = "Scanstage On"
 
@@ -40,8 +40,15 @@ def keyframe_steps(owner: bpy.types.ID, data_path: str, values: Sequence[float],
     curve.update()
 
 
-def switch_light(light: bpy.types.Light, on: Sequence[bool], *, start: int = 1) -> None:
-    """Switch a light by a Value node on its emission, one state a frame.
+def keyframe_scene(scene: bpy.types.Scene, data_path: str, values: Sequence[float], *, start: int = 1) -> None:
+    """Give a setting of the scene one value a frame. An action that the scene has already steps aside until the stage goes."""
+    if scene.animation_data and scene.animation_data.action and not is_marked(scene.animation_data.action):
+        scene.animation_data.action = None
+    keyframe_steps(scene, data_path, values, start=start)
+
+
+def switch_light(light: bpy.types.Light, strengths: Sequence[float], *, start: int = 1) -> None:
+    """Set a light's strength by a Value node on its emission, one a frame: 0 is off, 1 is its full power.
 
     Far cheaper than hiding the light, which would send the geometry to the renderer again, and right under persistent
     data as long as the tree is there before the first render.
@@ -52,8 +59,14 @@ def switch_light(light: bpy.types.Light, on: Sequence[bool], *, start: int = 1) 
     value.name = value.label = SWITCH
     value.location = (emission.location.x - 200, emission.location.y - 100)
     tree.links.new(value.outputs[0], emission.inputs["Strength"])
-    value.outputs[0].default_value = float(on[0])
-    keyframe_steps(tree, f'nodes["{SWITCH}"].outputs[0].default_value', [float(state) for state in on], start=start)
+    value.outputs[0].default_value = strengths[0]
+    keyframe_steps(tree, f'nodes["{SWITCH}"].outputs[0].default_value', strengths, start=start)
+
+
+def keyframe_value(tree: bpy.types.NodeTree, name: str, values: Sequence[float], *, start: int = 1) -> None:
+    """Give a Value node, known by its name, one number a frame."""
+    tree.nodes[name].outputs[0].default_value = values[0]
+    keyframe_steps(tree, f'nodes["{name}"].outputs[0].default_value', values, start=start)
 
 
 def light_is_on(light: bpy.types.Light) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon.reconstruction.geometry import Camera, look_at
-from addon.stage import readback, staging, turntable
+from addon.stage import readback, rig, staging
 
 
 def least_border(points, lens, elevation, distance):
@@ -33,7 +33,7 @@ def test_the_object_fills_the_picture_up_to_the_margin(elevation, size, shape):
     points = (np.random.default_rng(5).random((400, 3)) - 0.5) * shape
     lens = Camera([[700, 0, size[0] / 2 - 20], [0, 700, size[1] / 2 + 12], [0, 0, 1]], np.eye(3), np.zeros(3), size)
     elevation = math.radians(elevation)
-    border = least_border(points, lens, elevation, turntable.fitting_distance(lens, elevation, points))
+    border = least_border(points, lens, elevation, rig.fitting_distance(lens, elevation, points))
     # The margin is 6 % of the picture where the axis is central; 72 tried angles of 720 leave 0.1 % of the radius.
     assert border.min() > 0.05
     assert border.min() < 0.075
@@ -56,4 +56,4 @@ def test_a_given_distance_is_kept(empty_scene):
 
 
 def test_elevations_are_read_as_degrees():
-    assert turntable.parse_elevations(" 10, 35.5,-5") == pytest.approx([math.radians(x) for x in (10, 35.5, -5)])
+    assert rig.parse_elevations(" 10, 35.5,-5") == pytest.approx([math.radians(x) for x in (10, 35.5, -5)])
