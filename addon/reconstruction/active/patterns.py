@@ -32,6 +32,7 @@ from ...options import Option, Unit, Value, resolve
 
 AXES = ("column", "row")
 LARGEST_SIDE = 1 << 16  # codes are 16-bit numbers
+_GUARD = 1.125  # the coarsest sinusoid is so much longer than the projector's side that noise does not wrap the first column
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ def phase_shift(size: tuple[int, int], *, axes: str = "columns", period: float =
         At least 3. From 4 on the second harmonic, which a projector's or camera's gamma adds, does not leak into the phase.
     unwrap : {'gray', 'frequencies'}
         By a Gray code as coarse as half a period allows, with inverses, white and black; or by sinusoids each ``ratio`` times
-        coarser than the one before, up to one period across the projector.
+        coarser than the one before, up to a period a little longer than the projector's side.
     ratio : float
 
     Raises
@@ -233,7 +234,7 @@ def _gray_patterns(size: tuple[int, int], axis: str, finest: int, inverses: bool
 
 def _coarser_periods(period: float, length: int, ratio: float) -> list[float]:
     """Return periods from one that spans the projector down to ``period``, each at most ``ratio`` times finer."""
-    longest = max(float(length), period)
+    longest = _GUARD * length
     count = int(np.ceil(np.log(longest / period) / np.log(ratio) - 1e-9))
     return [float(value) for value in np.geomspace(longest, period, count + 1)] if count else [period]
 

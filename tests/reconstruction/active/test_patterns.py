@@ -65,10 +65,10 @@ def test_the_steps_of_a_sinusoid_sum_to_a_constant_and_repeat_after_a_period(ste
     assert images[0][0, 0] == 1  # its crest is on the first column
 
 
-def test_frequencies_begin_with_one_period_across_the_projector_and_end_with_the_finest():
+def test_frequencies_begin_with_a_period_beyond_the_projector_and_end_with_the_finest():
     periods = sorted({p.fields["period"] for p in make_patterns("phase-shift", (1000, 8), {"unwrap": "frequencies", "period": 10})
                       if "period" in p.fields})
-    assert periods[0] == pytest.approx(10) and periods[-1] == pytest.approx(1000)
+    assert periods[0] == pytest.approx(10) and 1000 < periods[-1] < 1200
     assert (np.array(periods[1:]) / periods[:-1] <= 6 + 1e-9).all()
 
 
