@@ -54,12 +54,13 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
     """
     folder = Path(folder)
     plan = plan_of(scene)
-    truth = truth_mesh(scene)
+    truth = truth_mesh(scene) if plan.board is None else None
     planned = _capture(scene, plan)
     if resume:
         _check_same(folder, planned, truth)
     _make_folders(folder, planned)
-    write_ply(folder / TRUTH, *truth, double=True)
+    if truth is not None:
+        write_ply(folder / TRUTH, *truth, double=True)
     sizes = {frame.id: plan.cameras[frame.camera].size for frame in plan.frames}
     missing = [frame.id for frame in planned.frames
                if not (resume and picture_is_whole(folder / frame.image, sizes[frame.id]))]
@@ -80,13 +81,14 @@ def _capture(scene: bpy.types.Scene, plan: CapturePlan) -> Capture:
         cameras=plan.cameras,
         lights=plan.lights,
         frames=tuple(Frame(frame.id, f"images/{frame.id}.png", frame.camera, frame.object_to_world, frame.lights,
-                           frame.pattern) for frame in plan.frames),
+                           frame.pattern, board_pose=frame.board_pose) for frame in plan.frames),
         projectors=plan.projectors,
         patterns=plan.patterns,
         encoding="linear",
         silhouette={"silhouette": _silhouette(options.get("backdrop", "none"), with_plates)},
         plates={id: f"plates/{id}.png" for id in plan.cameras} if with_plates else {},
-        truth_mesh=TRUTH)
+        truth_mesh=TRUTH if plan.board is None else None,
+        board=plan.board)
 
 
 def _silhouette(backdrop: str, with_plates: bool) -> str:
@@ -153,13 +155,13 @@ def _make_folders(folder: Path, planned: Capture) -> None:
         raise ScanstageError(f"{folder}: cannot be made a folder ({error.strerror}); choose another") from None
 
 
-def _check_same(folder: Path, planned: Capture, truth: tuple[np.ndarray, np.ndarray]) -> None:
+def _check_same(folder: Path, planned: Capture, truth: tuple[np.ndarray, np.ndarray] | None) -> None:
     """Refuse to mix two captures in one folder."""
     if not is_capture(folder):
         return
     found = read_capture(folder, require_pictures=False)
     difference = _difference(found, planned)
-    if difference is None and (folder / TRUTH).is_file():
+    if difference is None and truth is not None and (folder / TRUTH).is_file():
         known = read_ply(folder / TRUTH)
         difference = None if _close(known.vertices, truth[0]) and np.array_equal(known.triangles, truth[1]) \
             else "another object"
@@ -172,6 +174,8 @@ def _difference(found: Capture, planned: Capture) -> str | None:
     """Return how two plans differ, in words for the user, or None if they are the same."""
     if [frame.id for frame in found.frames] != [frame.id for frame in planned.frames]:
         return f"{len(found.frames)} frames instead of {len(planned.frames)}"
+    if found.board != planned.board:
+        return "another calibration board"
     for kind in ("cameras", "lights", "projectors", "patterns"):
         if set(getattr(found, kind)) != set(getattr(planned, kind)):
             return f"other {kind}"
@@ -189,7 +193,7 @@ def _difference(found: Capture, planned: Capture) -> str | None:
             return f"{id} elsewhere"
     for mine, theirs in zip(planned.frames, found.frames, strict=True):
         if replace(mine, object_to_world=None) != replace(theirs, object_to_world=None):
-            return f"frame {mine.id} with another camera, light or pattern"
+            return f"frame {mine.id} with another camera, light, pattern or pose of the board"
         if not _close(mine.object_to_world, theirs.object_to_world):
             return f"frame {mine.id} at another pose"
     return None

@@ -102,6 +102,14 @@ def mark(datablock: bpy.types.ID) -> bpy.types.ID:
     return datablock
 
 
+def release(member: bpy.types.Object) -> None:
+    """Make an object, its data and its children the user's own: no stage that goes takes them along."""
+    for owned in (member, *member.children_recursive):
+        for datablock in (owned, owned.data):
+            if datablock is not None and _MARK in datablock:
+                del datablock[_MARK]
+
+
 def is_marked(datablock: bpy.types.ID) -> bool:
     """Return whether staging made the data-block."""
     return _MARK in datablock

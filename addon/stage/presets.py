@@ -14,7 +14,7 @@ from types import MappingProxyType
 import bpy
 
 from ..options import Option, Value
-from . import gray_code, laser_scanner, phase_shift, shadow_array, stereo_pair, turntable
+from . import calibration, gray_code, laser_scanner, phase_shift, shadow_array, stereo_pair, turntable
 from .objects import Subject
 
 Build = Callable[[bpy.types.Scene, bpy.types.Collection, Subject, Mapping[str, Value]], None]
@@ -55,4 +55,6 @@ PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset
            gray_code.OPTIONS, gray_code.build),
     Preset("phase-shift", "Phase Shift", "A turning table before a camera and a projector of sinusoids",
            phase_shift.OPTIONS, phase_shift.build),
+    Preset("calibration", "Calibration", "A board in many poses before a camera and a projector, then on the turning table; no object",
+           calibration.OPTIONS, calibration.build),
 )})

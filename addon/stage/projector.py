@@ -44,6 +44,8 @@ _FIELDS = (
     Field("Height", "Resolution down", 768, 1, 65536, kind="Int"),
     *(Field(name, f"Lens distortion: OpenCV's {name.lower()}", 0.0, -100.0, 100.0) for name in ("K1", "K2", "P1", "P2", "K3")),
 )
+_DRAWN = "scanstage_drawn"  # a property of a frustum's mesh: what it shows
+_FRUSTUM_LENGTH = 0.25
 _EDGE_STEPS = 16  # of a frustum's drawing: its edges are bent where the lens distorts
 
 
@@ -159,31 +161,42 @@ def clear(light: bpy.types.Light) -> None:
         del light[PATTERNS]
 
 
-def update_frustum(projector: bpy.types.Object, distance: float | None = None) -> None:
-    """Draw a projector's picture as a frustum, with edges bent by its distortion.
+def update_frustum(owner: bpy.types.Object, distance: float | None = None) -> None:
+    """Draw a projector's picture as a frustum, with edges bent by its distortion, unless it is drawn so already.
 
     Parameters
     ----------
-    projector : bpy.types.Object
+    owner : bpy.types.Object
+        The projector.
     distance : float, optional
         How far the frustum reaches; by default as far as it did, or 0.25 m.
     """
-    frustum = next((child for child in projector.children if ownership.role_of(child) == FRUSTUM), None)
+    frustum = next((child for child in owner.children if ownership.role_of(child) == FRUSTUM), None)
     if frustum is None:
         return
-    mesh, optics = frustum.data, optics_of(projector.data)
-    if distance is None:
-        distance = -min((vertex.co.z for vertex in mesh.vertices), default=-0.25)
+    mesh, optics, drawn = frustum.data, optics_of(owner.data), frustum.data.get(_DRAWN)
+    distance = distance or (drawn[0] if drawn else _FRUSTUM_LENGTH)
+    wanted = [float(value) for value in (distance, *optics.size, *optics.K.ravel(), *optics.distortion)]
+    if drawn is not None and list(drawn) == wanted:
+        return
+    mesh.clear_geometry()
+    mesh.from_pydata(*_frustum(optics, distance), [])
+    mesh.update()
+    mesh[_DRAWN] = wanted
+
+
+def _frustum(optics: Camera, distance: float) -> tuple[list[list[float]], list[tuple[int, int]]]:
+    """Return the vertices and edges of a frustum in the axes of Blender's lights: the picture's border, and its corners' rays."""
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float64) * optics.size - 0.5
     share = np.arange(_EDGE_STEPS)[:, None] / _EDGE_STEPS
     border = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     straight = cv2.undistortPoints(border[:, None], optics.K, optics.distortion, P=optics.K)[:, 0]
+    lit = np.abs(optics.project(optics.rays(straight))[0] - border).max(axis=1) < 1  # not so where the lens folds its picture back
+    straight = np.where(lit[:, None], straight, border)
     rim = optics.rays(straight) * (distance, -distance, -distance)
     count = len(rim)
-    around = [(i, (i + 1) % count) for i in range(count)]
-    mesh.clear_geometry()
-    mesh.from_pydata(np.vstack((rim, np.zeros(3))).tolist(), [*around, *((count, i * _EDGE_STEPS) for i in range(4))], [])
-    mesh.update()
+    edges = [*((i, (i + 1) % count) for i in range(count)), *((count, i * _EDGE_STEPS) for i in range(len(corners)))]
+    return np.vstack((rim, np.zeros(3))).tolist(), edges
 
 
 def _kept_alone(tree: bpy.types.NodeTree, lens: bpy.types.Node) -> bpy.types.Node:

@@ -17,8 +17,10 @@ import bpy
 import numpy as np
 
 from ..errors import ScanstageError
+from ..reconstruction.calibration.board import Board
 from ..reconstruction.geometry import Camera, Light
 from . import ownership
+from .board import board_of
 from .evaluated import render_mesh
 from .laser import is_laser, laser_fields
 from .projection import pattern_of
@@ -45,6 +47,8 @@ class PlannedFrame:
         Ids of the lights that are on.
     pattern : str, optional
         Id of the pattern that is projected.
+    board_pose : str, optional
+        Id of the place where the calibration board stands; None where there is no board.
     """
 
     number: int
@@ -52,6 +56,7 @@ class PlannedFrame:
     object_to_world: np.ndarray
     lights: tuple[str, ...]
     pattern: str | None = None
+    board_pose: str | None = None
 
     @property
     def id(self) -> str:
@@ -73,6 +78,8 @@ class CapturePlan:
         In the world; those that shine in any frame. One that moves is one device for each of its poses, as a camera is.
     patterns : mapping of str to mapping
         What each pattern is, in the fields of `addon.reconstruction.active.patterns`, with the id of its ``projector``.
+    board : Board, optional
+        The calibration board that the frames show.
     """
 
     cameras: Mapping[str, Camera]
@@ -80,6 +87,7 @@ class CapturePlan:
     frames: tuple[PlannedFrame, ...]
     projectors: Mapping[str, Camera] = field(default_factory=dict)
     patterns: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    board: Board | None = None
 
 
 def camera_of(scene: bpy.types.Scene, camera_object: bpy.types.Object) -> Camera:
@@ -170,8 +178,8 @@ def plan_of(scene: bpy.types.Scene) -> CapturePlan:
     """
     if scene != bpy.context.scene:
         raise ValueError("only the context's scene is evaluated: the plan of another cannot be read")
-    turntable = turntable_of(scene)
-    cameras, lights, projectors, patterns, frames = _Devices(), _Devices(), _Devices(), _Devices(), []
+    turntable, board = turntable_of(scene), _board(scene)
+    cameras, lights, projectors, patterns, places, frames = *(_Devices() for _ in range(5)), []
     with frame_kept(scene):
         for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
             scene.frame_set(number)
@@ -179,8 +187,9 @@ def plan_of(scene: bpy.types.Scene) -> CapturePlan:
                 raise ScanstageError(f"frame {number} of scene {scene.name!r} has no camera: set the scene's camera")
             camera = cameras.id_of(scene.camera, camera_of(scene, scene.camera))
             lit = tuple(lights.id_of(o, light_of(o)) for o in _lights_on(scene))
-            frames.append(PlannedFrame(number, camera, _rigid(turntable), lit, _shown(scene, projectors, patterns)))
-    return CapturePlan(cameras.found, lights.found, tuple(frames), projectors.found, patterns.found)
+            place = None if board is None else places.id_by_name("pose", board, np.array(board.matrix_basis).tobytes())
+            frames.append(PlannedFrame(number, camera, _rigid(turntable), lit, _shown(scene, projectors, patterns), place))
+    return CapturePlan(cameras.found, lights.found, tuple(frames), projectors.found, patterns.found, board and board_of(board))
 
 
 def truth_mesh(scene: bpy.types.Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -262,6 +271,11 @@ class _Devices:
                 id = f"{name}-{self._counts[name]}"
             self._ids[name, content], self.found[id] = id, entry
         return self._ids[name, content]
+
+
+def _board(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    boards = [member for member in ownership.with_role(ownership.require_stage(scene), "board") if not member.hide_render]
+    return boards[0] if boards else None
 
 
 def _emitting(scene: bpy.types.Scene) -> list[bpy.types.Object]:

@@ -111,11 +111,11 @@ def test_a_converging_pair_looks_at_the_middle(empty_scene):
         assert camera.K[0, 2] == 47.5
 
 
-@pytest.mark.parametrize("name", RIGS)
-def test_building_twice_and_removing_leaves_nothing(empty_scene, name):
-    staging.build(empty_scene, name, "knot", RIGS[name])
+@pytest.mark.parametrize(("name", "options"), [*RIGS.items(), ("calibration", {**PROJECTOR, "poses": 2, "turns": 2})])
+def test_building_twice_and_removing_leaves_nothing(empty_scene, name, options):
+    staging.build(empty_scene, name, "knot", options)
     once = inventory()
-    staging.build(empty_scene, name, "knot", RIGS[name])
+    staging.build(empty_scene, name, "knot", options)
     assert inventory() == once
     staging.remove(empty_scene)
     assert not any(inventory().values())
