@@ -18,6 +18,7 @@ import numpy as np
 from ..errors import ScanstageError
 from ..options import Value, resolve
 from ..progress import Progress, silent
+from ..reconstruction.calibration.sightings import BoardView
 from ..reconstruction.geometry import MAX_SKEW_OF_ROTATION
 from ..reconstruction.scan import LitPicture, ProjectedPicture, Scan, View
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS, extract
@@ -81,6 +82,39 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
         views += [_projected_view(capture, pictures) for pictures in projected.values()]
     progress(1.0, f"{len(views)} views")
     return Scan(tuple(views), None if capture.bounds is None else np.array(capture.bounds))
+
+
+def load_board_views(folder: Path, capture: Capture) -> list[BoardView]:
+    """Return the views of the calibration board, in the order of capture.
+
+    Parameters
+    ----------
+    folder : Path
+    capture : Capture
+        The set in it.
+
+    Raises
+    ------
+    ScanstageError
+        No frame shows a board, one that does is not rendered yet, or a pattern names no projector.
+    """
+    shown = [frame for frame in capture.frames if frame.board_pose is not None]
+    if not shown:
+        raise ScanstageError(f"{FILE_NAME}: frames: none has a board_pose, so none shows the calibration board; capture it")
+    if missing := [frame.id for frame in shown if frame.id in set(capture.missing)]:
+        raise ScanstageError(f"{FILE_NAME}: missing: {len(missing)} of {len(shown)} frames of the board are not rendered yet (first: "
+                             f"{missing[0]}); run capture again to render them")
+    views, poses = [], {}
+    for placement in dict.fromkeys(frame.board_pose for frame in shown):
+        own = replace(capture, frames=tuple(frame for frame in shown if frame.board_pose == placement))
+        projected = _projected(folder, own)
+        plain = {_place(group[0]): group for group in reversed(lighting_groups(frame for frame in own.frames if frame.pattern is None))}
+        for place, frame in {_place(frame): frame for frame in own.frames}.items():
+            view = _view(folder, capture, plain[place], None, projected.get(place, ())) if place in plain \
+                else _projected_view(own, projected[place])
+            pose = poses.setdefault((placement, place[1]), f"{placement}/{len(poses) + 1}")
+            views.append(BoardView(placement, np.asarray(frame.object_to_world, float), pose, frame.camera, view))
+    return views
 
 
 def _place(frame: Frame) -> tuple[str, bytes]:

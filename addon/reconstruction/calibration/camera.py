@@ -20,7 +20,8 @@ LENSES: Mapping[str, int] = MappingProxyType({"none": 0, "radial": 2, "brown": 4
 LEAST_POSES = 3
 _FIXED = {0: cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3,
           2: cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3, 4: cv2.CALIB_FIX_K3, 5: 0}
-_STOP = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-12
+_STOP = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-9
+_GOOD = 1.0  # pixels RMS; above it another start may do better
 _GUESSES = (0.5, 1.0, 0.0)  # of a projector's principal point, in heights of its picture: lens shift puts it at an edge
 
 
@@ -83,7 +84,12 @@ def calibrate_camera(corners: np.ndarray, sightings: Sequence[Sighting], size: t
                              f"(frames: {names}); show it in at least {LEAST_POSES}, better 10 to 20, all tilted differently")
     objects = [corners[sighting.ids].astype(np.float32) for sighting in sightings]
     pixels = [sighting.pixels.astype(np.float32) for sighting in sightings]
-    found = [solution for height in _GUESSES if (solution := _solved(objects, pixels, size, lens, height)) is not None]
+    found = []
+    for height in _GUESSES:
+        if (solution := _solved(objects, pixels, size, lens, height)) is not None:
+            found.append(solution)
+            if solution[0] < _GOOD:
+                break
     if not found:
         raise ScanstageError(f"{sightings[0].device}: no camera explains the board's {len(sightings)} poses; tilt the board by 15 to "
                              "45 degrees about different axes, and check the board's columns, rows and sizes")

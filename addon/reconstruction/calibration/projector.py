@@ -33,7 +33,7 @@ def projector_corners(pixels: np.ndarray, decoded: np.ndarray, squares: float = 
         Column and row of the projector at each pixel of the camera; NaN where they are not known.
     squares : float
         Side of the window round each corner, in squares of the board. It grows to at most three where it holds fewer than 50
-        decoded pixels. Infinity takes the whole picture: one global homography.
+        decoded pixels.
 
     Returns
     -------
@@ -72,7 +72,6 @@ def _surrounded(pixel: np.ndarray, seen: np.ndarray, least: float) -> bool:
 def _window(pixel: np.ndarray, decoded: np.ndarray, half: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the decoded pixels (m, 2) round a corner, and the projector's (m, 2) that light them."""
     size = np.array(decoded.shape[1::-1])
-    half = min(half, float(size.max()))
     left, top = np.clip(np.floor(pixel - half), 0, size).astype(int)
     right, bottom = np.clip(np.ceil(pixel + half) + 1, 0, size).astype(int)
     part = decoded[top:bottom, left:right]

@@ -72,8 +72,9 @@ def residual_picture(rig: Rig, device: str) -> np.ndarray:
     Returns
     -------
     (height, width, 3) uint8 array
-        sRGB: the device's picture and a line of text. Each corner has an arrow from where it was seen towards where the calibration puts it, in its pose's colour and
-        as many times too long as is written below. Arrows that agree with their neighbours show a lens that is not modelled.
+        sRGB: the device's picture and a line of text. Each corner has an arrow from where it was seen towards where the
+        calibration puts it, in its pose's colour and as many times too long as the text says. Arrows that agree with their
+        neighbours show a lens that is not modelled.
     """
     size = np.array(rig.devices[device].size)
     scale = min(1.0, _MOST_PIXELS / size.max())

@@ -19,7 +19,8 @@ from ..geometry import Camera, rotation_about
 from .camera import LENSES, Sighting, calibrate_camera
 
 _STEPS = 100
-_CONVERGED = 1e-13  # of the squared error, relative
+_CONVERGED = 1e-13  # of the squared error: the share by which a last step still lowers it
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e-12, 1e8  # of normal equations with a diagonal of ones
 _FINEST = 1e-3  # pixels: no device is weighted as if its corners were known better
 _INTRINSICS = 9  # fx fy cx cy k1 k2 p1 p2 k3
 
@@ -181,22 +182,27 @@ def _adjusted(problem: _Problem, devices: dict[str, Camera], poses: dict[str, np
     """Return the rig of least squared error near a first estimate (Levenberg & Marquardt)."""
     columns, _ = problem.columns(devices, poses)
     hessian, gradient, cost = problem.normal_equations(devices, poses, noise)
-    damping = 1e-6
+    negligible = _CONVERGED * sum(len(sighting.ids) for sighting in problem.sightings)  # of corners that fit to rounding
+    damping = _DAMPING
     for _ in range(_STEPS):
-        step = np.linalg.lstsq(hessian + damping * np.diag(np.diag(hessian)), gradient, rcond=None)[0]
+        scale = _scale(hessian)
+        step = np.linalg.solve(hessian / np.outer(scale, scale) + damping * np.eye(len(scale)), gradient / scale) / scale
+        enough = _CONVERGED * cost + negligible
+        if gradient @ step <= enough:
+            break
         moved = _stepped(devices, poses, columns, step)
         trial = problem.normal_equations(*moved, noise) if moved is not None else (None, None, np.inf)
-        if not trial[2] < cost:
-            if damping > 1e8:
-                break
-            damping *= 10
-            continue
-        done = cost - trial[2] <= _CONVERGED * cost
-        (devices, poses), (hessian, gradient, cost), damping = moved, trial, damping / 10
-        if done:
+        if trial[2] < cost:
+            (devices, poses), (hessian, gradient, cost), damping = moved, trial, max(damping / 10, _LEAST_DAMPING)
+        elif (damping := damping * 10) > _MOST_DAMPING:
             break
     residuals = problem.residuals(devices, poses)
     return Rig(devices, poses, problem.sightings, tuple(residuals), _deviations(problem, devices, poses, residuals))
+
+
+def _scale(hessian: np.ndarray) -> np.ndarray:
+    """Return by what to divide unknowns as different as pixels and k3, so that each has the same weight."""
+    return np.sqrt(np.maximum(np.diag(hessian), np.finfo(float).tiny))
 
 
 def _stepped(devices: Mapping[str, Camera], poses: Mapping[str, np.ndarray], columns: Mapping[object, slice],
@@ -231,7 +237,9 @@ def _deviations(problem: _Problem, devices: Mapping[str, Camera], poses: Mapping
     for name in devices:
         own = [residual for sighting, residual in zip(problem.sightings, residuals, strict=True) if sighting.device == name]
         noise[name] = max(rms(own) / np.sqrt(2), 1e-9)
-    covariance = np.linalg.pinv(problem.normal_equations(devices, poses, noise)[0], hermitian=True)
+    hessian = problem.normal_equations(devices, poses, noise)[0]
+    scale = _scale(hessian)
+    covariance = np.linalg.pinv(hessian / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     columns, _ = problem.columns(devices, poses)
     found = {}
     for name in devices:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import ScanstageError
+from ..geometry import rotation_about
 
 LEAST_TURN = np.radians(5.0)  # between the two poses that are furthest apart; below, their noise is all there is
 
@@ -80,6 +81,36 @@ def turntable_axis(poses, commanded=None) -> Axis:
     moved = point + ((change @ point) + shifts)
     return Axis(direction, point, angles, float(np.sqrt((np.linalg.norm(change @ direction, axis=1) ** 2).mean())),
                 float(np.sqrt(((moved - point) ** 2).sum(axis=1).mean())))
+
+
+def onto_axis(world_to_camera: np.ndarray, in_world: Axis, in_camera: Axis) -> np.ndarray:
+    """Return the pose nearest to a given one that puts the world's axis where the camera sees it turn.
+
+    An axis leaves two things open, which keep their values: the angle about it and the height along it.
+
+    Parameters
+    ----------
+    world_to_camera : (4, 4) array
+    in_world, in_camera : Axis
+        The same axis with the same sense of rotation, from the commanded motions and from what the camera saw.
+
+    Returns
+    -------
+    (4, 4) array
+        World to camera.
+    """
+    before = world_to_camera[:3, :3] @ in_world.direction
+    across, cosine = np.cross(before, in_camera.direction), float(before @ in_camera.direction)
+    if np.linalg.norm(across) < 1e-12:  # as it is, or upside down: then any axis across will do
+        across = np.linalg.svd(before[None])[2][-1]
+    R = rotation_about(across, float(np.arccos(np.clip(cosine, -1, 1)))) @ world_to_camera[:3, :3]
+    u, _, vt = np.linalg.svd(R)
+    pose = np.eye(4)
+    pose[:3, :3] = u @ vt
+    point = world_to_camera[:3, :3] @ in_world.point + world_to_camera[:3, 3]
+    foot = in_camera.point + in_camera.direction * ((point - in_camera.point) @ in_camera.direction)
+    pose[:3, 3] = foot - pose[:3, :3] @ in_world.point
+    return pose
 
 
 def _angles(rotations: np.ndarray, direction: np.ndarray) -> np.ndarray:

@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From a capture set that shows a calibration board to one whose devices are calibrated: the verb `calibrate`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from .captures.placing import check_place, put_in_place
+from .captures.scan import load_board_views
+from .captures.schema import FILE_NAME, Capture
+from .captures.store import files_of, read_capture
+from .errors import ScanstageError
+from .options import Option, Value, resolve
+from .progress import Progress, part_of, silent
+from .reconstruction.calibration.quality import pose_warnings, residual_picture
+from .reconstruction.calibration.rig import Rig, calibrate_rig, rms
+from .reconstruction.calibration.sightings import BoardView, find_sightings
+from .reconstruction.calibration.turntable import Axis, onto_axis, turntable_axis
+from .reconstruction.geometry import Camera
+
+FOLDER, REPORT = "calibration", "report.json"
+MOST_ANGLE_ERROR = np.radians(1.0)  # of the table, against what it was told
+
+_LENSES = {"none": "No distortion", "radial": "k1 and k2", "brown": "k1, k2 and the tangential p1, p2",
+           "full": "k1, k2, p1, p2 and k3: needs the board in the picture's corners"}
+OPTIONS = (
+    Option("camera_lens", "brown", "What is estimated of the cameras' lens distortion", choices=_LENSES),
+    Option("projector_lens", "radial", "What is estimated of the projectors' lens distortion", choices=_LENSES),
+    Option("window", 1.0, "Side, in squares of the board, of the patch round a corner whose decoded pixels carry it into the projector: "
+           "smaller follows the lenses better, larger averages more", minimum=0.2, maximum=100.0),
+)
+
+
+def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None = None, progress: Progress = silent) -> dict:
+    """Calibrate the devices of a capture set from its frames of the board.
+
+    The first camera keeps the pose that it has in the set, and so the world stays where it was. If the board stood on the
+    turntable in frames at different ``object_to_world``, the camera's pose is corrected so that the board turned as those say;
+    the angle about the axis and the height along it, of which the board says nothing, are kept. All else of the set is copied.
+
+    Parameters
+    ----------
+    capture, out : Path
+        Folders; ``out`` also gets the report, as ``calibration/report.json``, and a picture of each device's residuals.
+    options : mapping, optional
+        See `OPTIONS`.
+
+    Returns
+    -------
+    dict
+        The report. Of each device ``rms`` and ``views`` (the RMS of each frame) in pixels, ``K``, ``distortion``, ``deviations``
+        (standard deviations of fx fy cx cy k1 k2 p1 p2 k3), and ``difference`` from what the set had: where that was rendered,
+        the error. ``turntable`` or None; ``board_poses``, board to world; ``not_found``, frames; ``warnings``, sentences.
+
+    Raises
+    ------
+    ScanstageError
+        The set, an option or the place cannot be used, or the board's poses do not bear a calibration: nothing is then written.
+    """
+    capture, out = Path(capture), Path(out)
+    values = resolve(OPTIONS, options or {}, "calibrate")
+    check_place(capture, out)
+    before = read_capture(capture)
+    views = load_board_views(capture, before)
+    sightings = find_sightings(before.board, views, {id: device.size for id, device in before.projectors.items()},
+                               window=values["window"], progress=part_of(progress, 0.0, 0.8))
+    progress(0.8, "Calibrating")
+    known = _devices(before)
+    seeing = {sighting.device for sighting in sightings.found}
+    _refuse_ambiguity(before, views, seeing)
+    sizes = {name: known[name].size for name in known if name in seeing}
+    rig = calibrate_rig(before.board.corners, sightings.found, sizes,
+                        {name: values["camera_lens" if name.startswith("camera ") else "projector_lens"] for name in sizes})
+    warnings = [*sightings.warnings, *(f"{name}: has no frames of the board; left as it was" for name in known if name not in seeing)]
+    for name in rig.devices:
+        warnings += pose_warnings(rig, before.board.corners, name)
+    to_camera, table, table_warnings = _placed(before, views, rig)
+    world = {name: device.moved(to_camera) for name, device in rig.devices.items()}
+    to_world = np.linalg.inv(to_camera)
+    report = {
+        "board": asdict(before.board), "devices": {name: _device_report(rig, name, world[name], known[name]) for name in rig.devices},
+        "turntable": table, "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()},
+        "not_found": list(sightings.not_found), "warnings": [*warnings, *table_warnings]}
+    after = replace(before, cameras=_replaced(before.cameras, "camera", world), projectors=_replaced(before.projectors, "projector", world))
+    extra = {f"{FOLDER}/{name.replace(' ', '-')}.png": _png(residual_picture(rig, name)) for name in rig.devices}
+    extra[f"{FOLDER}/{REPORT}"] = json.dumps(report, indent=1, allow_nan=False).encode()
+    put_in_place(after, {path: capture / path for _, path, _ in files_of(before)}, out, part_of(progress, 0.9, 1.0), extra=extra)
+    return report
+
+
+def _devices(capture: Capture) -> dict[str, Camera]:
+    """Return a set's cameras and projectors by the names that sightings have for them."""
+    return {f"{kind} {id}": device for kind, devices in (("camera", capture.cameras), ("projector", capture.projectors))
+            for id, device in devices.items()}
+
+
+def _refuse_ambiguity(capture: Capture, views: Sequence[BoardView], seeing: set[str]) -> None:
+    """Refuse what would leave two answers: a mirrored first camera, or poses to be compared of a board that half a turn keeps."""
+    first, *others = [id for id in capture.cameras if f"camera {id}" in seeing]
+    if capture.cameras[first].mirrored:
+        raise ScanstageError(f"{FILE_NAME}: devices.cameras.{first}.R: is mirrored, and a calibrated camera is not; give a rotation")
+    turns = len({shown.pose for shown in views}) > len({shown.placement for shown in views})
+    if capture.board.symmetric and (others or turns):
+        raise ScanstageError(f"{FILE_NAME}: board: half a turn leaves a checkerboard of {capture.board.columns} x {capture.board.rows} "
+                             f"squares as it is, so {'cameras' if others else 'poses on the turntable'} cannot be related by it; use one "
+                             "with an odd sum of columns and rows, or ChArUco")
+
+
+def _replaced(devices: Mapping[str, Camera], kind: str, calibrated: Mapping[str, Camera]) -> dict[str, Camera]:
+    return {id: calibrated.get(f"{kind} {id}", device) for id, device in devices.items()}
+
+
+def _placed(capture: Capture, views: Sequence[BoardView], rig: Rig) -> tuple[np.ndarray, dict | None, list[str]]:
+    """Return the motion from the world to the rig's first camera, what is known of the turntable, and warnings."""
+    first = _devices(capture)[next(iter(rig.devices))]
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = first.R, first.t
+    turned = _turned(views, rig)
+    if len(turned) < 2:
+        return pose, None, []
+    told = turntable_axis([motion for motion, _ in turned])
+    seen = turntable_axis([rig.poses[name] for _, name in turned], told.angles)
+    error = np.abs(np.angle(np.exp(1j * (seen.angles - told.angles)))).max()
+    warnings = []
+    if error > MOST_ANGLE_ERROR:
+        warnings.append(f"turntable: the board turned by up to {np.degrees(error):.1f} degrees more or less than its frames say; check "
+                        "object_to_world and that the board did not slip")
+    return onto_axis(pose, told, seen), _axis_report(seen, error), warnings
+
+
+def _turned(views: Sequence[BoardView], rig: Rig) -> list[tuple[np.ndarray, str]]:
+    """Return motion and pose of the placement at which the table turned most often; of the board moved by hand, one."""
+    placements: dict[str, dict[str, np.ndarray]] = {}
+    for shown in views:
+        if shown.pose in rig.poses:
+            placements.setdefault(shown.placement, {})[shown.pose] = shown.motion
+    return [(motion, name) for name, motion in max(placements.values(), key=len).items()]
+
+
+def _axis_report(axis: Axis, error: float) -> dict:
+    return {"poses": len(axis.angles), "direction": axis.direction.tolist(), "point": axis.point.tolist(),
+            "angles": np.degrees(axis.angles).tolist(), "angle_error": float(np.degrees(error)),
+            "tilt": float(np.degrees(axis.tilt)), "offset": axis.offset}
+
+
+def _device_report(rig: Rig, name: str, device: Camera, before: Camera) -> dict:
+    views: dict[str, float] = {}
+    for sighting, residual in zip(rig.sightings, rig.residuals, strict=True):
+        if sighting.device == name:
+            views[sighting.name] = rms([residual])
+    return {"rms": rig.rms(name), "views": views, "size": list(device.size), "K": device.K.tolist(),
+            "distortion": device.distortion.tolist(), "deviations": rig.deviations[name].tolist(),
+            "difference": _difference(device, before)}
+
+
+def _difference(device: Camera, before: Camera) -> dict[str, float]:
+    turn = (np.trace(device.R @ before.R.T) - 1) / 2
+    return {"focal_length_percent": float(100 * np.abs(np.diag(device.K)[:2] / np.diag(before.K)[:2] - 1).max()),
+            "principal_point_pixels": float(np.linalg.norm(device.K[:2, 2] - before.K[:2, 2])),
+            "rotation_degrees": float(np.degrees(np.arccos(np.clip(turn, -1, 1)))),
+            "centre": float(np.linalg.norm(device.centre - before.centre))}
+
+
+def _png(picture: np.ndarray) -> bytes:
+    return cv2.imencode(".png", picture[..., ::-1])[1].tobytes()

@@ -1,0 +1,106 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Calibration boards before analytic cameras and projectors: poses, corners, pictures and decoded maps, all by formula."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from addon.reconstruction.calibration.board import Board
+from addon.reconstruction.calibration.camera import Sighting
+from addon.reconstruction.geometry import Camera, rotation_about
+
+_PIXELS_PER_SQUARE, _MARGIN = 56, 0.5
+_BLACK, _WHITE, _AROUND = 0.04, 0.8, 0.25  # linear
+
+
+def device(focal: float, size: tuple[int, int], *, centre=None, distortion=(0, 0, 0, 0, 0), R=None, t=(0, 0, 0)) -> Camera:
+    """Return a camera or projector at the origin, looking along z, unless it is told otherwise."""
+    u, v = ((size[0] - 1) / 2, (size[1] - 1) / 2) if centre is None else centre
+    return Camera([[focal, 0, u], [0, focal, v], [0, 0, 1]], np.eye(3) if R is None else R, t, size, distortion)
+
+
+def board_pose(board: Board, centre, tilt: float = 0.0, about: float = 0.0, turn: float = 0.0) -> np.ndarray:
+    """Return the (4, 4) pose of a board whose middle lies at ``centre``.
+
+    It faces ``-z``, turned in its plane by ``turn`` and then tilted by ``tilt`` about the axis of the plane at angle ``about``.
+    """
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_about((np.cos(about), np.sin(about), 0), tilt) @ rotation_about((0, 0, 1), turn)
+    pose[:3, 3] = np.array(centre) - pose[:3, :3] @ board.corners.mean(axis=0)
+    return pose
+
+
+def spread_poses(board: Board, rng, count: int, *, nearest: float, furthest: float, tilt=(0.17, 0.61), shift: float = 0.06) -> list[np.ndarray]:
+    """Return poses tilted about axes all round, near the optical axis of a camera at the origin."""
+    return [board_pose(board, (*rng.uniform(-shift, shift, 2), rng.uniform(nearest, furthest)), rng.uniform(*tilt),
+                       2 * np.pi * number / count + rng.uniform(-0.2, 0.2), rng.uniform(-0.3, 0.3)) for number in range(count)]
+
+
+def in_frame(pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return (n, 3) points of the board in the frame that the pose leads to."""
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def sighting(name: str, seen_by: Camera, board: Board, pose: np.ndarray, number, noise=0.0) -> Sighting:
+    """Return the corners where they project to, moved by ``noise``, (n, 2) or a number."""
+    pixels = seen_by.project(in_frame(pose, board.corners))[0]
+    return Sighting(name, str(number), f"{number:04d}", np.arange(len(pixels)), pixels + noise)
+
+
+def sight_lines(camera: Camera) -> np.ndarray:
+    """Return the (height, width, 2) normalised coordinates ``X / Z, Y / Z`` that each pixel's centre sees through the lens."""
+    grid = pixel_grid(camera.size)
+    if not camera.distorted:
+        return (grid - camera.K[:2, 2]) / np.diag(camera.K)[:2]
+    stop = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-10
+    return cv2.undistortPointsIter(grid.reshape(-1, 1, 2), camera.K, camera.distortion, np.eye(3), np.eye(3), stop).reshape(grid.shape)
+
+
+def board_points(camera: Camera, pose: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """Return where on the board's plane (..., 2) sight lines end, as (..., 2) x, y in its frame: the inverse of a homography."""
+    seen = camera.moved(pose)
+    inverse = np.linalg.inv(np.column_stack((seen.R[:, :2], seen.t)))
+    x, y, w = (lines[..., 0] * row[0] + lines[..., 1] * row[1] + row[2] for row in inverse)
+    return np.stack((x / w, y / w), axis=-1)
+
+
+def pixel_grid(size: tuple[int, int]) -> np.ndarray:
+    """Return the (height, width, 2) positions of the pixels' centres."""
+    return np.stack(np.meshgrid(*(np.arange(side, dtype=np.float64) for side in size)), axis=-1)
+
+
+def board_albedo(board: Board, camera: Camera, pose: np.ndarray, samples: int = 2) -> np.ndarray:
+    """Return the (height, width) picture of the evenly lit board, each pixel the mean of ``samples`` squared."""
+    texture = board.draw(_PIXELS_PER_SQUARE, _MARGIN) / np.float32(255) * (_WHITE - _BLACK) + _BLACK
+    width, height = camera.size
+    # Between pixels' centres a lens is as good as linear; resize puts its samples where they are evenly spread over each pixel
+    lines = cv2.resize(sight_lines(camera), (width * samples, height * samples), interpolation=cv2.INTER_LINEAR)
+    place = (board_points(camera, pose, lines) / board.square + 1 + _MARGIN) * _PIXELS_PER_SQUARE - 0.5
+    seen = cv2.remap(texture.astype(np.float32), place.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
+                     borderValue=_AROUND)
+    return seen.reshape(height, samples, width, samples).mean(axis=(1, 3))
+
+
+def lit_pixels(camera: Camera, projector: Camera, pose: np.ndarray) -> np.ndarray:
+    """Return the (height, width, 2) projector pixels, not rounded, that light what each camera pixel sees of the board's plane."""
+    points = board_points(camera, pose, sight_lines(camera))
+    space = np.concatenate((points, np.zeros((*points.shape[:2], 1))), axis=-1)
+    return projector.moved(pose).project(space)[0]
+
+
+def decoded_map(board: Board, camera: Camera, projector: Camera, pose: np.ndarray) -> np.ndarray:
+    """Return what an ideal Gray code gives: whole projector pixels on the white squares, NaN elsewhere."""
+    lit = np.floor(lit_pixels(camera, projector, pose) + 0.5)
+    square = np.floor(board_points(camera, pose, sight_lines(camera)) / board.square + 1)
+    white = (square >= 0).all(-1) & (square < (board.columns, board.rows)).all(-1) & (square.sum(-1) % 2 == 1)
+    inside = (lit >= 0).all(-1) & (lit < projector.size).all(-1)
+    return np.where((white & inside)[..., None], lit, np.nan)
+
+
+def with_pose(camera: Camera, R, t) -> Camera:
+    """Return the same device elsewhere."""
+    return replace(camera, R=R, t=t)
