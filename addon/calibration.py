@@ -19,19 +19,20 @@ from .captures.store import files_of, read_capture
 from .errors import ScanstageError
 from .options import Option, Value, resolve
 from .progress import Progress, part_of, silent
+from .reconstruction.calibration.bundle import motion
 from .reconstruction.calibration.quality import pose_warnings, residual_picture
 from .reconstruction.calibration.rig import Rig, calibrate_rig, rms
 from .reconstruction.calibration.sightings import BoardView, find_sightings
-from .reconstruction.calibration.turntable import Axis, onto_axis, turntable_axis
 from .reconstruction.geometry import Camera
 
 FOLDER, REPORT = "calibration", "report.json"
 MOST_ANGLE_ERROR = np.radians(1.0)  # of the table, against what it was told
+MOST_TILT = np.radians(0.5)  # of the table's axis, from pose to pose
 
-_LENSES = {"none": "No distortion", "radial": "k1 and k2", "brown": "k1, k2 and the tangential p1, p2",
-           "full": "k1, k2, p1, p2 and k3: needs the board in the picture's corners"}
+_LENSES = {"none": "No distortion", "radial": "k1 and k2", "full": "k1, k2, p1, p2 and k3: needs the board in the picture's corners",
+           "brown": "k1, k2 and the tangential p1, p2, which the principal point can hardly be told from"}
 OPTIONS = (
-    Option("camera_lens", "brown", "What is estimated of the cameras' lens distortion", choices=_LENSES),
+    Option("camera_lens", "radial", "What is estimated of the cameras' lens distortion", choices=_LENSES),
     Option("projector_lens", "radial", "What is estimated of the projectors' lens distortion", choices=_LENSES),
     Option("window", 1.0, "Side, in squares of the board, of the patch round a corner whose decoded pixels carry it into the projector: "
            "smaller follows the lenses better, larger averages more", minimum=0.2, maximum=100.0),
@@ -57,7 +58,8 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
     dict
         The report. Of each device ``rms`` and ``views`` (the RMS of each frame) in pixels, ``K``, ``distortion``, ``deviations``
         (standard deviations of fx fy cx cy k1 k2 p1 p2 k3), and ``difference`` from what the set had: where that was rendered,
-        the error. ``turntable`` or None; ``board_poses``, board to world; ``not_found``, frames; ``warnings``, sentences.
+        the error. ``turntable`` or None, angles in degrees; ``board_poses``, board to world; ``not_found``, frames; and
+        ``warnings``, sentences.
 
     Raises
     ------
@@ -76,18 +78,16 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
     seeing = {sighting.device for sighting in sightings.found}
     _refuse_ambiguity(before, views, seeing)
     sizes = {name: known[name].size for name in known if name in seeing}
-    rig = calibrate_rig(before.board.corners, sightings.found, sizes,
-                        {name: values["camera_lens" if name.startswith("camera ") else "projector_lens"] for name in sizes})
-    warnings = [*sightings.warnings, *(f"{name}: has no frames of the board; left as it was" for name in known if name not in seeing)]
-    for name in rig.devices:
-        warnings += pose_warnings(rig, before.board.corners, name)
-    to_camera, table, table_warnings = _placed(before, views, rig)
-    world = {name: device.moved(to_camera) for name, device in rig.devices.items()}
-    to_world = np.linalg.inv(to_camera)
+    first = known[next(iter(sizes))]
+    lenses = {name: values["camera_lens" if name.startswith("camera ") else "projector_lens"] for name in sizes}
+    rig = calibrate_rig(before.board.corners, sightings.found, sizes, lenses, world=motion(first.R, first.t), turns=_turns(views))
+    warnings = [*sightings.warnings, *(f"{name}: has no frames of the board; left as it was" for name in known if name not in seeing),
+                *(warning for name in rig.devices for warning in pose_warnings(rig, before.board.corners, name)), *_table_warnings(rig)]
+    world, to_world = {name: device.moved(rig.world) for name, device in rig.devices.items()}, np.linalg.inv(rig.world)
     report = {
         "board": asdict(before.board), "devices": {name: _device_report(rig, name, world[name], known[name]) for name in rig.devices},
-        "turntable": table, "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()},
-        "not_found": list(sightings.not_found), "warnings": [*warnings, *table_warnings]}
+        "turntable": _table_report(rig), "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()},
+        "not_found": list(sightings.not_found), "warnings": warnings}
     after = replace(before, cameras=_replaced(before.cameras, "camera", world), projectors=_replaced(before.projectors, "projector", world))
     extra = {f"{FOLDER}/{name.replace(' ', '-')}.png": _png(residual_picture(rig, name)) for name in rig.devices}
     extra[f"{FOLDER}/{REPORT}"] = json.dumps(report, indent=1, allow_nan=False).encode()
@@ -117,36 +117,30 @@ def _replaced(devices: Mapping[str, Camera], kind: str, calibrated: Mapping[str,
     return {id: calibrated.get(f"{kind} {id}", device) for id, device in devices.items()}
 
 
-def _placed(capture: Capture, views: Sequence[BoardView], rig: Rig) -> tuple[np.ndarray, dict | None, list[str]]:
-    """Return the motion from the world to the rig's first camera, what is known of the turntable, and warnings."""
-    first = _devices(capture)[next(iter(rig.devices))]
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = first.R, first.t
-    turned = _turned(views, rig)
-    if len(turned) < 2:
-        return pose, None, []
-    told = turntable_axis([motion for motion, _ in turned])
-    seen = turntable_axis([rig.poses[name] for _, name in turned], told.angles)
-    error = np.abs(np.angle(np.exp(1j * (seen.angles - told.angles)))).max()
-    warnings = []
-    if error > MOST_ANGLE_ERROR:
-        warnings.append(f"turntable: the board turned by up to {np.degrees(error):.1f} degrees more or less than its frames say; check "
-                        "object_to_world and that the board did not slip")
-    return onto_axis(pose, told, seen), _axis_report(seen, error), warnings
-
-
-def _turned(views: Sequence[BoardView], rig: Rig) -> list[tuple[np.ndarray, str]]:
-    """Return motion and pose of the placement at which the table turned most often; of the board moved by hand, one."""
-    placements: dict[str, dict[str, np.ndarray]] = {}
+def _turns(views: Sequence[BoardView]) -> dict[str, tuple[str, np.ndarray]]:
+    """Return placement and motion of each pose on the turntable: those of placements that were seen at several motions."""
+    poses: dict[str, set[str]] = {}
     for shown in views:
-        if shown.pose in rig.poses:
-            placements.setdefault(shown.placement, {})[shown.pose] = shown.motion
-    return [(motion, name) for name, motion in max(placements.values(), key=len).items()]
+        poses.setdefault(shown.placement, set()).add(shown.pose)
+    return {shown.pose: (shown.placement, shown.motion) for shown in views if len(poses[shown.placement]) > 1}
 
 
-def _axis_report(axis: Axis, error: float) -> dict:
-    return {"poses": len(axis.angles), "direction": axis.direction.tolist(), "point": axis.point.tolist(),
-            "angles": np.degrees(axis.angles).tolist(), "angle_error": float(np.degrees(error)),
+def _table_warnings(rig: Rig) -> list[str]:
+    warnings = []
+    if rig.turntable is not None and (error := max(map(abs, rig.turntable.errors.values()))) > MOST_ANGLE_ERROR:
+        warnings.append(f"turntable: it turned by up to {np.degrees(error):.1f} degrees more or less than its frames say; check "
+                        "object_to_world, and that the board did not slip")
+    if rig.turntable is not None and rig.turntable.axis.tilt > MOST_TILT:
+        warnings.append(f"turntable: its poses share no axis (they tilt it by {np.degrees(rig.turntable.axis.tilt):.1f} degrees); check "
+                        "that neither table nor board wobble")
+    return warnings
+
+
+def _table_report(rig: Rig) -> dict | None:
+    if rig.turntable is None:
+        return None
+    axis = rig.turntable.axis
+    return {"poses": len(rig.turntable.errors), "angle_errors": {pose: float(np.degrees(e)) for pose, e in rig.turntable.errors.items()},
             "tilt": float(np.degrees(axis.tilt)), "offset": axis.offset}
 
 
@@ -161,10 +155,9 @@ def _device_report(rig: Rig, name: str, device: Camera, before: Camera) -> dict:
 
 
 def _difference(device: Camera, before: Camera) -> dict[str, float]:
-    turn = (np.trace(device.R @ before.R.T) - 1) / 2
     return {"focal_length_percent": float(100 * np.abs(np.diag(device.K)[:2] / np.diag(before.K)[:2] - 1).max()),
             "principal_point_pixels": float(np.linalg.norm(device.K[:2, 2] - before.K[:2, 2])),
-            "rotation_degrees": float(np.degrees(np.arccos(np.clip(turn, -1, 1)))),
+            "rotation_degrees": float(np.degrees(np.linalg.norm(cv2.Rodrigues(device.R @ before.R.T)[0]))),
             "centre": float(np.linalg.norm(device.centre - before.centre))}
 
 

@@ -44,11 +44,11 @@ def calibration_lines(folder: Path, report: dict) -> list[str]:
     lines = [f"{folder}: {len(report['devices'])} device(s) calibrated"]
     for name, device in report["devices"].items():
         worst = max(device["views"], key=device["views"].get)
-        lines.append(f"  {name:<20}RMS {device['rms']:.3f} px in {len(device['views'])} poses (worst {device['views'][worst]:.3f}, frame "
+        lines.append(f"  {name:<19} RMS {device['rms']:.3f} px in {len(device['views'])} poses (worst {device['views'][worst]:.3f}, frame "
                      f"{worst}), focal length {device['K'][0][0]:.2f} +- {device['deviations'][0]:.2f} px")
     if table := report["turntable"]:
-        lines.append(f"  turntable           {table['poses']} poses, angles within {table['angle_error']:.3f} degrees, axis within "
-                     f"{table['offset']:.3g}")
+        error = max(map(abs, table["angle_errors"].values()))
+        lines.append(f"  turntable           {table['poses']} poses, turned by at most {error:.3f} degrees more or less than commanded")
     return lines + [f"  warning: {warning}" for warning in report["warnings"]]
 
 

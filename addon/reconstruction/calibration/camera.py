@@ -50,7 +50,7 @@ class Sighting:
 
 
 def calibrate_camera(corners: np.ndarray, sightings: Sequence[Sighting], size: tuple[int, int],
-                     lens: str = "brown") -> tuple[Camera, dict[str, np.ndarray]]:
+                     lens: str = "radial") -> tuple[Camera, dict[str, np.ndarray]]:
     """Find a device's intrinsics and the board's poses before it.
 
     The principal point is always estimated: a projector's lies far from the middle.
