@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -71,12 +72,12 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
     check_place(capture, out)
     before = read_capture(capture)
     views = load_board_views(capture, before)
+    _refuse_ambiguity(before, views)
     sightings = find_sightings(before.board, views, {id: device.size for id, device in before.projectors.items()},
                                window=values["window"], progress=part_of(progress, 0.0, 0.8))
     progress(0.8, "Calibrating")
     known = _devices(before)
     seeing = {sighting.device for sighting in sightings.found}
-    _refuse_ambiguity(before, views, seeing)
     sizes = {name: known[name].size for name in known if name in seeing}
     first = known[next(iter(sizes))]
     lenses = {name: values["camera_lens" if name.startswith("camera ") else "projector_lens"] for name in sizes}
@@ -89,7 +90,7 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
         "turntable": _table_report(rig), "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()},
         "not_found": list(sightings.not_found), "warnings": warnings}
     after = replace(before, cameras=_replaced(before.cameras, "camera", world), projectors=_replaced(before.projectors, "projector", world))
-    extra = {f"{FOLDER}/{name.replace(' ', '-')}.png": _png(residual_picture(rig, name)) for name in rig.devices}
+    extra = {f"{FOLDER}/{_file_name(name)}.png": _png(residual_picture(rig, name)) for name in rig.devices}
     extra[f"{FOLDER}/{REPORT}"] = json.dumps(report, indent=1, allow_nan=False).encode()
     put_in_place(after, {path: capture / path for _, path, _ in files_of(before)}, out, part_of(progress, 0.9, 1.0), extra=extra)
     return report
@@ -101,13 +102,13 @@ def _devices(capture: Capture) -> dict[str, Camera]:
             for id, device in devices.items()}
 
 
-def _refuse_ambiguity(capture: Capture, views: Sequence[BoardView], seeing: set[str]) -> None:
+def _refuse_ambiguity(capture: Capture, views: Sequence[BoardView]) -> None:
     """Refuse what would leave two answers: a mirrored first camera, or poses to be compared of a board that half a turn keeps."""
-    first, *others = [id for id in capture.cameras if f"camera {id}" in seeing]
+    seeing = {shown.camera_id for shown in views}
+    first, *others = [id for id in capture.cameras if id in seeing]
     if capture.cameras[first].mirrored:
         raise ScanstageError(f"{FILE_NAME}: devices.cameras.{first}.R: is mirrored, and a calibrated camera is not; give a rotation")
-    turns = len({shown.pose for shown in views}) > len({shown.placement for shown in views})
-    if capture.board.symmetric and (others or turns):
+    if capture.board.symmetric and (others or _turns(views)):
         raise ScanstageError(f"{FILE_NAME}: board: half a turn leaves a checkerboard of {capture.board.columns} x {capture.board.rows} "
                              f"squares as it is, so {'cameras' if others else 'poses on the turntable'} cannot be related by it; use one "
                              "with an odd sum of columns and rows, or ChArUco")
@@ -159,6 +160,11 @@ def _difference(device: Camera, before: Camera) -> dict[str, float]:
             "principal_point_pixels": float(np.linalg.norm(device.K[:2, 2] - before.K[:2, 2])),
             "rotation_degrees": float(np.degrees(np.linalg.norm(cv2.Rodrigues(device.R @ before.R.T)[0]))),
             "centre": float(np.linalg.norm(device.centre - before.centre))}
+
+
+def _file_name(device: str) -> str:
+    """Return a device's name as that of a file: ids may hold what leads out of the folder."""
+    return re.sub(r"[^A-Za-z0-9._-]", "-", device)
 
 
 def _png(picture: np.ndarray) -> bytes:

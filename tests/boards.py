@@ -4,11 +4,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from addon.captures.pictures import write_picture
+from addon.captures.schema import Capture, Frame
+from addon.captures.store import write_capture
+from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.calibration.board import Board
 from addon.reconstruction.calibration.camera import Sighting
 from addon.reconstruction.geometry import Camera, rotation_about
@@ -101,6 +107,42 @@ def decoded_map(board: Board, camera: Camera, projector: Camera, pose: np.ndarra
     return np.where((white & inside)[..., None], lit, np.nan)
 
 
-def with_pose(camera: Camera, R, t) -> Camera:
-    """Return the same device elsewhere."""
-    return replace(camera, R=R, t=t)
+def write_board_capture(folder: Path, board: Board, camera: Camera, projector: Camera | None, by_hand: Sequence[np.ndarray],
+                        on_table: np.ndarray | None = None, turns: Sequence[float] = (), said: Camera | None = None) -> Capture:
+    """Write a capture set of a board by formula: poses by hand (board to world), each under a Gray code, then turns of the table.
+
+    Parameters
+    ----------
+    on_table : (4, 4) array, optional
+        The board's frame to the object frame.
+    turns : sequence of float
+        Angles of the table about the world's z.
+    said : Camera, optional
+        What the set says of the camera, if that is not the truth.
+    """
+    frames, patterns = [], make_patterns("gray-code", projector.size) if projector else ()
+    to_camera = np.eye(4)
+    to_camera[:3, :3], to_camera[:3, 3] = camera.R, camera.t
+    plain = replace(camera, R=np.eye(3), t=np.zeros(3))
+
+    def add(picture, motion, pattern, pose):
+        name = f"{len(frames) + 1:04d}"
+        write_picture(folder / "images" / f"{name}.png", np.repeat(picture[..., None], 3, -1), bits=8)
+        frames.append(Frame(name, f"images/{name}.png", "cam", motion, pattern=pattern, board_pose=pose))
+
+    for number, pose in enumerate(by_hand):
+        albedo = board_albedo(board, plain, to_camera @ pose)
+        add(albedo, np.eye(4), None, f"by hand {number}")
+        if projector:
+            column, row = np.moveaxis(np.floor(lit_pixels(plain, projector.moved(np.linalg.inv(to_camera)), to_camera @ pose) + 0.5).astype(int), -1, 0)
+            lit = (column >= 0) & (row >= 0) & (column < projector.size[0]) & (row < projector.size[1])
+            for pattern in patterns:
+                add(albedo * np.where(lit, pattern.image[row * lit, column * lit] / 255, 0), np.eye(4), pattern.id, f"by hand {number}")
+    for angle in turns:
+        motion = np.eye(4)
+        motion[:3, :3] = rotation_about((0, 0, 1), angle)
+        add(board_albedo(board, plain, to_camera @ motion @ on_table), motion, None, "table")
+    capture = Capture({"cam": said or camera}, tuple(frames), projectors={"lamp": projector} if projector else {},
+                      patterns={pattern.id: pattern.fields for pattern in patterns}, board=board)
+    write_capture(folder, capture)
+    return capture

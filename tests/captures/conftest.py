@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small valid capture set, as a document and on disk, and the folder of real captures."""
+"""A small valid capture set, as a document and on disk."""
 
 import copy
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -52,16 +51,3 @@ def capture_folder(tmp_path, document) -> Path:
     (tmp_path / "truth.ply").write_bytes(b"ply\n")
     (tmp_path / "capture.json").write_text(json.dumps(document))
     return tmp_path
-
-
-@pytest.fixture
-def real_captures():
-    """Return a function that gives the folder of a set of real photographs, or skips the test."""
-    root = Path(os.environ.get("SCANSTAGE_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
-
-    def folder(name: str) -> Path:
-        if not (root / name).is_dir():
-            pytest.skip(f"the real captures {name} are not in {root}; set SCANSTAGE_DATA")
-        return root / name
-
-    return folder

@@ -110,16 +110,16 @@ def calibrate_rig(corners: np.ndarray, sightings: Sequence[Sighting], sizes: Map
     problem, world = Problem(corners, tuple(sightings), lenses), np.eye(4) if world is None else world
     estimate = Estimate(*_related(alone))
     estimate = adjust(problem, estimate, _noise(problem, estimate))
-    seen = None
+    seen, turns = None, {pose: turn for pose, turn in (turns or {}).items() if pose in estimate.boards}
     if turns:
-        table, seen, estimate = _on_table({pose: turn for pose, turn in turns.items() if pose in estimate.boards}, estimate, world)
+        table, seen, estimate = _on_table(turns, estimate, world)
         problem = replace(problem, table=table)
         estimate = adjust(problem, estimate, _noise(problem, estimate))
         world = estimate.world
     residuals = problem.residuals(estimate)
     poses = {sighting.pose: problem.pose(estimate, sighting.pose) for sighting in sightings}
     return Rig(estimate.devices, poses, problem.sightings, tuple(residuals), deviations(problem, estimate, residuals), world,
-               Turntable(seen, _centred(estimate.errors)) if seen is not None else None)
+               Turntable(seen, _centred(estimate.errors, turns)) if seen is not None else None)
 
 
 def _noise(problem: Problem, estimate: Estimate) -> dict[str, float]:
@@ -160,7 +160,9 @@ def _on_table(turns: Mapping[str, tuple[str, np.ndarray]], estimate: Estimate, w
     return Table(told, turns), seen, Estimate(estimate.devices, boards, world, on_table, dict.fromkeys(turns, 0.0))
 
 
-def _centred(errors: Mapping[str, float]) -> dict[str, float]:
-    """Return the errors without their mean, which is no error but where on the table the board stands."""
-    mean = float(np.mean(list(errors.values())))
-    return {pose: error - mean for pose, error in errors.items()}
+def _centred(errors: Mapping[str, float], turns: Mapping[str, tuple[str, np.ndarray]]) -> dict[str, float]:
+    """Return the errors without their mean at each placement, which is no error but where on the table the board stands."""
+    groups: dict[str, list[float]] = {}
+    for pose, error in errors.items():
+        groups.setdefault(turns[pose][0], []).append(error)
+    return {pose: error - float(np.mean(groups[turns[pose][0]])) for pose, error in errors.items()}
