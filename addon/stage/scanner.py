@@ -100,13 +100,25 @@ def plan_bench(bench: Bench, views: int, patterns: int) -> list[int | None]:
     return [i - 1 if i else None for i in number.tolist()]
 
 
-def add_fitting_projector(stage: bpy.types.Collection, bench: Bench, options: Mapping[str, Value]) -> bpy.types.Object:
-    """Add a projector to the camera's right, as far away as it needs to light all of the object at every pose."""
+def add_fitting_projector(stage: bpy.types.Collection, points: np.ndarray, target: np.ndarray,
+                          options: Mapping[str, Value]) -> bpy.types.Object:
+    """Add a projector to the camera's right, as far away as it needs to light all of the object at every pose.
+
+    Parameters
+    ----------
+    stage : bpy.types.Collection
+    points : (n, 3) array
+        The object in the object frame.
+    target : (3,) array
+        The object's middle in the world.
+    options : mapping
+        With those of `PROJECTOR_OPTIONS`, ``elevation`` and ``angle``.
+    """
     made = projector.add_projector(stage, 1, throw_ratio=options["throw_ratio"], size=(options["projector_x"], options["projector_y"]))
     projector.lens_of(made.data).inputs["K1"].default_value = options["projector_k1"]
     lens = projector.optics_of(made.data)
-    distance = rig.fitting_distance(lens, options["elevation"], bench.points - rig.middle_of(bench.points))
-    devices.point(made, bench.target + rig.offset_of(distance, options["elevation"], options["angle"]), bench.target)
+    distance = rig.fitting_distance(lens, options["elevation"], points - rig.middle_of(points))
+    devices.point(made, target + rig.offset_of(distance, options["elevation"], options["angle"]), target)
     projector.update_frustum(made, distance)
     return made
 
@@ -121,5 +133,5 @@ def build_projector_rig(scene: bpy.types.Scene, stage: bpy.types.Collection, sub
         The distance cannot be used, the object cannot be staged, or the patterns are too many.
     """
     bench = build_bench(scene, stage, subject, options, frames=options["views"] * (1 + len(patterns)))
-    made = add_fitting_projector(stage, bench, options)
+    made = add_fitting_projector(stage, bench.points, bench.target, options)
     projection.show_patterns(made.data, patterns, plan_bench(bench, options["views"], len(patterns)))
