@@ -78,7 +78,8 @@ def build(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject,
     made = add_board(stage, turntable, board, _CELLS * max(round(square / _SOFTNESS / _CELLS), 1))
     _move(made, [*board_places(board, seen_by, distance, options["poses"]), _lying(board)], shots)
     turns = options["turns"]
-    keyframe_steps(turntable, "rotation_euler", [0.0] * (len(shots) - turns) + [2 * math.pi * turn / turns for turn in range(turns)], index=2)
+    angles = [0.0] * (len(shots) - turns) + [2 * math.pi * turn / turns for turn in range(turns)]
+    keyframe_steps(turntable, "rotation_euler", angles, index=2)
 
 
 @dataclass(frozen=True)
