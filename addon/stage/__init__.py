@@ -14,7 +14,7 @@
 
 from .objects import BUILTINS as BUILT_IN_OBJECTS
 from .presets import PRESETS
-from .readback import CapturePlan, camera_of, plan_of, truth_mesh
+from .readback import CapturePlan, camera_of, plan_of, projector_of, truth_mesh
 from .staging import build, remove
 
-__all__ = ["BUILT_IN_OBJECTS", "PRESETS", "CapturePlan", "build", "camera_of", "plan_of", "remove", "truth_mesh"]
+__all__ = ["BUILT_IN_OBJECTS", "PRESETS", "CapturePlan", "build", "camera_of", "plan_of", "projector_of", "remove", "truth_mesh"]
