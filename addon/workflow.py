@@ -72,7 +72,7 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     up = upward([view.camera for view in scan.views])
     preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
     write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview,
-                 layers=found.layers, pictures=found.pictures)
+                 layers=found.layers, pictures=found.pictures, points=found.points)
     progress(1.0, "Result written")
     return report
 
@@ -111,7 +111,7 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     Returns
     -------
     dict
-        ``volume`` and ``surface``, as the design names them.
+        ``volume`` and ``surface``, as the design names them, and ``points`` where the result has points.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     values = resolve(EVALUATION_OPTIONS, options or {}, "evaluate")
     result = read_result(folder)
     truth = truth_of(result) if truth is None else truth
-    measures = evaluate(result.volume, result.surface, truth, progress=progress, **values)
+    measures = evaluate(result.volume, result.surface, truth, points=result.points, progress=progress, **values)
     report_section(folder, "evaluation", measures)
     return measures
 

@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rig that calibrates another: a board in many poses before camera and projector, then lying on a turning table.
+"""The rig that calibrates another: a board in many poses before its devices, then lying on a turning table.
 
-At each pose by hand the first frame has the headlight and no pattern, the others a Gray code of columns and rows; at each
-pose of the table there is the first of these alone. The devices are placed as for an object as large as the board.
+At each pose by hand every camera has a frame under its headlight, and the first one then sees a Gray code of columns and rows;
+at each pose of the table it has the first of these alone. The devices are placed as for an object as large as the board.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -17,14 +18,14 @@ from mathutils import Matrix
 
 from ..errors import ScanstageError
 from ..options import Option, Unit, Value
-from ..reconstruction.active.patterns import make_patterns
+from ..reconstruction.active.patterns import Pattern, make_patterns
 from ..reconstruction.calibration.board import DICTIONARIES, KINDS, MAX_SQUARES, Board
 from ..reconstruction.geometry import Camera, rotation_about
 from . import devices, projection, rig, scanner
 from .board import add_board, outline
 from .objects import Subject
 from .readback import camera_of, projector_of
-from .timeline import keyframe_steps, switch_light
+from .timeline import bind_cameras, keyframe_steps, switch_light
 
 _MARKER = 0.75  # side of a marker in squares: the six cells of a 4x4 marker are then an eighth of a square each
 _CELLS = 8  # so that cells are whole pixels of the board's picture
@@ -47,6 +48,7 @@ OPTIONS = (
     Option("turns", 12, "Poses of the board on the turning table, evenly round the circle; 0 leaves the table's axis uncalibrated",
            minimum=0, maximum=360),
     Option("projector", True, "Calibrate a projector, too: show a Gray code at each pose by hand"),
+    Option("cameras", 1, "How many cameras: a second one stands as far to the left as the projector to the right", minimum=1, maximum=2),
     Option("elevation", math.radians(45), "How high above the table's plane the devices stand: the board on the table must be seen",
            unit=Unit.ANGLE, minimum=math.radians(15), maximum=math.radians(85)),
     scanner.ANGLE,
@@ -67,29 +69,53 @@ def build(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject,
     """
     board = _board(options)
     patterns = make_patterns("gray-code", (options["projector_x"], options["projector_y"])) if options["projector"] else ()
-    frames = options["poses"] * (1 + len(patterns)) + options["turns"]
-    rig.apply_settings(scene, options, frames=frames, transparent=True, persistent=True)
+    shots = _shots(options, len(patterns))
+    rig.apply_settings(scene, options, frames=len(shots), transparent=True, persistent=True)
     turntable = devices.add_turntable(stage)
     turntable.empty_display_size = float(np.ptp(outline(board), axis=0).max())
+    distance, seen_by = _add_devices(scene, stage, board, patterns, shots, options)
+    square = board.square * seen_by[0].K[0, 0] / distance  # in pixels
+    made = add_board(stage, turntable, board, _CELLS * max(round(square / _SOFTNESS / _CELLS), 1))
+    _move(made, [*board_places(board, seen_by, distance, options["poses"]), _lying(board)], shots)
+    turns = options["turns"]
+    angles = [0.0] * (len(shots) - turns) + [2 * math.pi * turn / turns for turn in range(turns)]
+    keyframe_steps(turntable, "rotation_euler", angles, index=2)
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """A frame: the board's place, where the last one is on the table, the number of the camera, and that of the pattern."""
+
+    place: int
+    camera: int = 0
+    pattern: int | None = None
+
+
+def _shots(options: Mapping[str, Value], patterns: int) -> list[_Shot]:
+    by_hand = [_Shot(place, camera, pattern) for place in range(options["poses"]) for camera in range(options["cameras"])
+               for pattern in (None, *range(0 if camera else patterns))]
+    return by_hand + [_Shot(options["poses"])] * options["turns"]
+
+
+def _add_devices(scene: bpy.types.Scene, stage: bpy.types.Collection, board: Board, patterns: Sequence[Pattern],
+                 shots: Sequence[_Shot], options: Mapping[str, Value]) -> tuple[float, list[Camera]]:
+    """Add cameras with headlights and the projector, and plan them; return the cameras' distance, and all devices as they stand."""
+    centre, elevation = np.zeros(3), options["elevation"]
     points = _ball(float(np.linalg.norm(np.ptp(outline(board), axis=0))) / 2)
-    camera, = rig.add_cameras(stage, 1, options)
-    scene.camera = camera
-    distance = rig.place_cameras(scene, [camera], [options["elevation"]], points, np.zeros(3), options["distance"])
-    headlight = devices.add_light(stage, camera, 1, _EXPOSED * distance)
-    seen_by = [camera_of(scene, camera)]
-    if options["projector"]:
-        bench = scanner.Bench(turntable, camera, headlight, points, distance)
-        lamp = scanner.add_fitting_projector(stage, bench, options)
-        bpy.context.view_layer.update()
-        seen_by.append(projector_of(scene, lamp))
-    square_seen = board.square * seen_by[0].K[0, 0] / distance
-    made = add_board(stage, turntable, board, _CELLS * max(round(square_seen / _SOFTNESS / _CELLS), 1))
-    places = [*board_places(board, seen_by, distance, options["poses"]), *[_lying(board)] * bool(options["turns"])]
-    _plan(made, turntable, places, options, len(patterns))
-    place, number = _frames(options["poses"], options["turns"], len(patterns))
-    switch_light(headlight.data, (number == 0).astype(float).tolist())
-    if options["projector"]:
-        projection.show_patterns(lamp.data, patterns, [n - 1 if n else None for n in number.tolist()])
+    cameras = rig.add_cameras(stage, options["cameras"], options)
+    distance = rig.place_cameras(scene, cameras, [elevation] * len(cameras), points, centre, options["distance"])
+    for camera in cameras[1:]:
+        devices.aim(camera, rig.offset_of(distance, elevation, -options["angle"]), centre)
+    bind_cameras(scene, [cameras[shot.camera] for shot in shots])
+    for i, camera in enumerate(cameras):
+        light = devices.add_light(stage, camera, 1 + i, _EXPOSED * distance)
+        switch_light(light.data, [float(shot.camera == i and shot.pattern is None) for shot in shots])
+    projectors = []
+    if patterns:
+        projectors.append(scanner.add_fitting_projector(stage, points, centre, options))
+        projection.show_patterns(projectors[0].data, patterns, [shot.pattern for shot in shots])
+    bpy.context.view_layer.update()
+    return distance, [*(camera_of(scene, camera) for camera in cameras), *(projector_of(scene, lamp) for lamp in projectors)]
 
 
 def board_places(board: Board, seen_by: list[Camera], distance: float, count: int) -> list[np.ndarray]:
@@ -168,20 +194,9 @@ def _motion(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     return motion
 
 
-def _frames(poses: int, turns: int, patterns: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the place of the board in each frame, and the number of its picture there: 0 is the one without a pattern."""
-    place, number = np.divmod(np.arange(poses * (1 + patterns)), 1 + patterns)
-    return np.append(place, np.full(turns, poses)), np.append(number, np.zeros(turns, int))
-
-
-def _plan(made: bpy.types.Object, turntable: bpy.types.Object, places: list[np.ndarray], options: Mapping[str, Value],
-          patterns: int) -> None:
-    place, _ = _frames(options["poses"], options["turns"], patterns)
-    by_hand, turns = options["poses"] * (1 + patterns), options["turns"]
-    angles = np.append(np.zeros(by_hand), 2 * math.pi * np.arange(turns) / max(turns, 1))
-    keyframe_steps(turntable, "rotation_euler", angles.tolist(), index=2)
+def _move(made: bpy.types.Object, places: list[np.ndarray], shots: list[_Shot]) -> None:
     made.rotation_mode = "QUATERNION"
     parts = [Matrix(motion.tolist()).decompose() for motion in places]
     for path, values in (("location", [part[0] for part in parts]), ("rotation_quaternion", [part[1] for part in parts])):
         for axis in range(len(values[0])):
-            keyframe_steps(made, path, [values[i][axis] for i in place], index=axis)
+            keyframe_steps(made, path, [values[shot.place][axis] for shot in shots], index=axis)

@@ -74,6 +74,10 @@ class Scalar:
         """Return the exponential."""
         return self._math("EXPONENT", self)
 
+    def clamped(self, least: float, most: float) -> Scalar:
+        """Return the number, or the bound that it is beyond."""
+        return self._math("MINIMUM", self._math("MAXIMUM", self, least), most)
+
     def _math(self, operation: str, *operands: Scalar | float) -> Scalar:
         node = self.tree.nodes.new("ShaderNodeMath")
         node.operation = operation

@@ -4,7 +4,9 @@
 
 The image is made once and never rewritten, so that the renderer may keep it with the geometry: from pattern to pattern
 one number changes. Most patterns repeat one row or one column; a set of such patterns takes one line each, whatever the
-projector's height. What each pattern is (`addon.reconstruction.active.patterns`) is kept beside the image for `pattern_of`.
+projector's height. Patterns of black and white alone have sharp pixels. Where a set has shades in between, neighbouring pixels
+are blended, as a real projector's lens blends them: sinusoids and profiles are continuous, and the borders of black and white
+stay where they were. What each pattern is (`addon.reconstruction.active.patterns`) is kept beside the image for `pattern_of`.
 """
 
 from __future__ import annotations
@@ -72,6 +74,7 @@ def show_patterns(light: bpy.types.Light, patterns: Sequence[Pattern], shown: Se
     tree = light.node_tree
     pattern = nodes.named_value(tree, projector.PATTERN, projector.OFF)
     texture = projector.image_node(tree, _new_image(light.name, atlas.image), _lookup(tree, atlas, pattern, len(patterns), size))
+    texture.interpolation = "Closest" if _is_binary(atlas.image) else "Linear"
     projector.finish(tree, texture, pattern)
     order = np.argsort(atlas.place)
     light[projector.PATTERNS] = json.dumps({"size": size, "patterns": [[patterns[i].id, dict(patterns[i].fields)] for i in order]})
@@ -132,6 +135,7 @@ def _atlas_of_lines(patterns: Sequence[Pattern], size: tuple[int, int]) -> _Atla
     image = np.zeros((len(lines), max(size)), np.result_type(*lines))
     for row, line in zip(image, lines, strict=True):
         row[:len(line)] = line if line.dtype == image.dtype else line / np.iinfo(line.dtype).max
+        row[len(line):] = row[len(line) - 1]  # no pixel at the picture's edge is blended with what lies beyond
     return _Atlas(image, np.argsort(order), int(across.sum()))
 
 
@@ -148,11 +152,16 @@ def _lookup(tree: bpy.types.NodeTree, atlas: _Atlas, pattern: Scalar, count: int
     """Return where in the image a ray's pixel of the pattern that is shown lies."""
     column, row, _ = (Scalar(tree, socket) for socket in tree.nodes[projector.LENS].outputs)
     if atlas.down is None:
-        return nodes.combined(tree, column, 1.0 - (pattern + row) / count)
+        inside = row.clamped(0.5 / size[1], 1 - 0.5 / size[1])  # never blended with the picture above or below
+        return nodes.combined(tree, column, 1.0 - (pattern + inside) / count)
     width, height = (side / max(size) for side in size)
     is_column = pattern > atlas.down - 0.5
     along = column * width * (1.0 - is_column) + row * height * is_column
     return nodes.combined(tree, along, 1.0 - (pattern + 0.5) / count)
+
+
+def _is_binary(values: np.ndarray) -> bool:
+    return bool(((values == 0) | (values == (1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max))).all())
 
 
 def _new_image(name: str, values: np.ndarray) -> bpy.types.Image:

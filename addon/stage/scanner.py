@@ -9,14 +9,14 @@ Within a pose nothing moves but the numbers of Value nodes, so that the renderer
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ..options import Option, Unit, Value
-from ..reconstruction.active.patterns import Pattern
+from ..reconstruction.active.patterns import PATTERN_SETS, make_patterns
 from . import devices, projection, projector, rig
 from .objects import Subject, add_object
 from .timeline import keyframe_steps, switch_light
@@ -100,26 +100,45 @@ def plan_bench(bench: Bench, views: int, patterns: int) -> list[int | None]:
     return [i - 1 if i else None for i in number.tolist()]
 
 
-def add_fitting_projector(stage: bpy.types.Collection, bench: Bench, options: Mapping[str, Value]) -> bpy.types.Object:
-    """Add a projector to the camera's right, as far away as it needs to light all of the object at every pose."""
+def add_fitting_projector(stage: bpy.types.Collection, points: np.ndarray, target: np.ndarray,
+                          options: Mapping[str, Value]) -> bpy.types.Object:
+    """Add a projector to the camera's right, as far away as it needs to light all of the object at every pose.
+
+    Parameters
+    ----------
+    stage : bpy.types.Collection
+    points : (n, 3) array
+        The object in the object frame.
+    target : (3,) array
+        The object's middle in the world.
+    options : mapping
+        With those of `PROJECTOR_OPTIONS`, ``elevation`` and ``angle``.
+    """
     made = projector.add_projector(stage, 1, throw_ratio=options["throw_ratio"], size=(options["projector_x"], options["projector_y"]))
     projector.lens_of(made.data).inputs["K1"].default_value = options["projector_k1"]
     lens = projector.optics_of(made.data)
-    distance = rig.fitting_distance(lens, options["elevation"], bench.points - rig.middle_of(bench.points))
-    devices.point(made, bench.target + rig.offset_of(distance, options["elevation"], options["angle"]), bench.target)
+    distance = rig.fitting_distance(lens, options["elevation"], points - rig.middle_of(points))
+    devices.point(made, target + rig.offset_of(distance, options["elevation"], options["angle"]), target)
     projector.update_frustum(made, distance)
     return made
 
 
+def projector_rig_options(pattern_set: str) -> tuple[Option, ...]:
+    """Return the options of a rig whose projector shows a set of `PATTERN_SETS`."""
+    return (VIEWS, *PATTERN_SETS[pattern_set].options, *PROJECTOR_OPTIONS, *COMMON)
+
+
 def build_projector_rig(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject, options: Mapping[str, Value],
-                        patterns: Sequence[Pattern]) -> None:
-    """Build a rig whose projector shows each pattern at each pose; ``options`` has those of `COMMON` and `PROJECTOR_OPTIONS`.
+                        pattern_set: str) -> None:
+    """Build a rig whose projector shows all patterns of a set at each pose; ``options`` are those of `projector_rig_options`.
 
     Raises
     ------
     ScanstageError
-        The distance cannot be used, the object cannot be staged, or the patterns are too many.
+        The projector cannot show the set, the distance cannot be used, or the object cannot be staged.
     """
+    code = {option.name: options[option.name] for option in PATTERN_SETS[pattern_set].options}
+    patterns = make_patterns(pattern_set, (options["projector_x"], options["projector_y"]), code)
     bench = build_bench(scene, stage, subject, options, frames=options["views"] * (1 + len(patterns)))
-    made = add_fitting_projector(stage, bench, options)
+    made = add_fitting_projector(stage, bench.points, bench.target, options)
     projection.show_patterns(made.data, patterns, plan_bench(bench, options["views"], len(patterns)))

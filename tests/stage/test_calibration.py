@@ -62,6 +62,19 @@ def test_every_pose_has_its_name_and_all_patterns_and_the_table_turns_after_them
         np.testing.assert_allclose(placed.mean(axis=0), 0, atol=1e-6)
 
 
+def test_a_second_camera_sees_the_board_at_the_same_poses(empty_scene):
+    staging.build(empty_scene, "calibration", "knot", {**SMALL, "poses": 2, "turns": 1, "cameras": 2})
+    plan = readback.plan_of(empty_scene)
+    second = [frame for frame in plan.frames if frame.camera == "camera-2"]
+    assert [(frame.board_pose, frame.pattern, frame.lights) for frame in second] == [("pose", None, ("light-2",)), ("pose-2", None, ("light-2",))]
+    assert [frame.camera for frame in plan.frames].count("camera-1") == 2 * (1 + 22) + 1
+    for frame in second:
+        pixels, depth = plan.cameras["camera-2"].project(corners_in_world(empty_scene, plan, frame))
+        assert (depth > 0).all() and (pixels > 0).all() and (pixels < (319, 239)).all()
+    left, middle, right = plan.cameras["camera-2"].centre, plan.cameras["camera-1"].centre, plan.projectors["projector-1"].centre
+    assert left[0] < -0.05 and middle[0] == pytest.approx(0, abs=1e-6) and right[0] > 0.05
+
+
 def test_the_board_is_seen_and_lit_whole_in_every_pose(empty_scene):
     staging.build(empty_scene, "calibration", "knot", {**SMALL, "poses": 12, "turns": 5})
     plan = readback.plan_of(empty_scene)

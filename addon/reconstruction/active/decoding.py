@@ -131,7 +131,7 @@ def _fitted(sinusoid: PhasePictures, contrast: float) -> Phase:
                              "exposure or a weaker projector")
     power = float((phase.amplitude[lit] ** 2).sum()) * phase.steps / 2
     if phase.residual[lit].sum() > _LARGEST_REMAINDER * power:
-        raise ScanstageError(f"{sinusoid.frames}: do not follow a sinusoid of {len(sinusoid.pictures)} steps; {AGAIN}, or capture with more light")
+        raise ScanstageError(f"{sinusoid.frames}: do not follow a sinusoid of {phase.steps} steps; {AGAIN}, or capture with more light")
     return phase
 
 
