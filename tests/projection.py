@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from addon.reconstruction.active.patterns import Pattern
-from addon.reconstruction.active.triangulation import picture_rays
+from addon.reconstruction.active.triangulation import rays_through
 from addon.reconstruction.geometry import Camera
 from addon.reconstruction.scan import ProjectedPicture, View
 from tests.rigs import Ball
@@ -76,6 +76,12 @@ class Sight:
     points: np.ndarray
     light: np.ndarray
     pixels: np.ndarray
+
+
+def picture_rays(camera: Camera) -> np.ndarray:
+    """Return the (height, width, 3) unit rays through the centres of all pixels of a real picture."""
+    rows, columns = np.mgrid[:camera.size[1], :camera.size[0]]
+    return rays_through(camera, np.stack((columns, rows), axis=-1))
 
 
 def sight(camera: Camera, projector: Camera, surfaces: Sequence, albedo: Albedo | float = 0.8) -> Sight:

@@ -22,6 +22,7 @@ from ..schema import Capture
 from ..store import is_capture, write_capture
 from .middlebury import MIDDLEBURY_OPTIONS, read_middlebury
 from .opencv import read_opencv
+from .slstudio import read_slstudio
 from .sources import Import
 
 
@@ -60,6 +61,8 @@ IMPORTERS = {importer.name: importer for importer in (
              "The folder of a Middlebury multi-view stereo set, or its *_par.txt", MIDDLEBURY_OPTIONS, read_middlebury),
     Importer("opencv", "OpenCV FileStorage",
              "An XML, YAML or JSON file of OpenCV's with a P, or K R t, for each picture beside it", (), read_opencv),
+    Importer("slstudio", "SLStudio", "The calibration of a camera and a projector (Kc kc Kp kp Rp Tp) with the frames of a Gray-code scan",
+             (), read_slstudio),
 )}
 
 

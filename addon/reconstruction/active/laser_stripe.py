@@ -27,7 +27,7 @@ from .peaks import ESTIMATORS, centroid_deviations, peak_offsets
 from .sequences import number_of, of_kind, read_grey
 from .structured_light import FILL
 from .sweeps import Sweep, find_sweeps
-from .triangulation import LEAST_ANGLE, meet_rays, picture_rays, pixel_width, rays_through
+from .triangulation import LEAST_ANGLE, meet_rays, pixel_width, rays_through
 
 ANALYSES = {"temporal": "When the stripe passes each pixel (Curless & Levoy): right also where colour or shape change under the stripe",
             "spatial": "Where the stripe is in each picture: its peak along lines of pixels"}
@@ -78,7 +78,7 @@ def _temporal(view: View, number: int, sweep: Sweep, *, estimator: str, contrast
     index, deviation, reason = passing_times((read_grey(picture) for picture in sweep.pictures), len(sweep.pictures), half,
                                              estimator=estimator, contrast=contrast, noise=noise)
     rows, columns = np.nonzero(reason == Reason.VALID)
-    rays = picture_rays(view.camera)[rows, columns]
+    rays = rays_through(view.camera, np.stack((columns, rows), axis=-1))
     return _triangulated(view, number, sweep, sweep.at(index[rows, columns].astype(np.float64)), rays, (rows, columns),
                          deviation[rows, columns] * sweep.spacing, reason)
 
