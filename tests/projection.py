@@ -10,14 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from addon.captures.pictures import write_picture
+from addon.captures.schema import Capture, Frame
+from addon.captures.store import write_capture
 from addon.reconstruction.active.patterns import Pattern
 from addon.reconstruction.active.triangulation import rays_through
-from addon.reconstruction.geometry import Camera
+from addon.reconstruction.geometry import Camera, rotation_about
 from addon.reconstruction.scan import ProjectedPicture, View
-from tests.rigs import Ball
+from addon.results.ply import write_ply
+from tests.rigs import Ball, sphere_mesh
 
 Albedo = Callable[[np.ndarray], np.ndarray]
 
@@ -160,3 +165,23 @@ def projected_view(camera: Camera, projector: Camera, patterns: Sequence[Pattern
                      for number, pattern in enumerate(patterns))
     own = next((shot for shot in pictures if shot.pattern["kind"] == "white"), pictures[0])
     return View(name, camera, None, own.read_image, projected=pictures)
+
+
+def write_projected_capture(folder: Path, camera: Camera, projector: Camera, patterns: Sequence[Pattern], ball: Ball,
+                            poses: int = 1) -> Capture:
+    """Write a whole capture set of a ball on a turntable under patterns, which stands still in the object frame, and the truth."""
+    frames = []
+    for pose in range(poses):
+        motion = np.eye(4)
+        motion[:3, :3] = rotation_about((0, 0, 1), 2 * np.pi * pose / poses)
+        view = projected_view(camera.moved(motion), projector.moved(motion), patterns, [Round(ball)], ambient=0.02)
+        for shot in view.projected:
+            name = f"{pose:02d}-{shot.name}"
+            write_picture(folder / "images" / f"{name}.png", shot.read_image(), bits=8)
+            frames.append(Frame(name, f"images/{name}.png", "camera", motion, pattern=shot.name))
+    truth = sphere_mesh(ball)
+    write_ply(folder / "truth.ply", truth.vertices, truth.triangles, double=True)
+    capture = Capture({"camera": camera}, tuple(frames), projectors={"projector": projector}, truth_mesh="truth.ply",
+                      patterns={pattern.id: pattern.fields for pattern in patterns})
+    write_capture(folder, capture)
+    return capture
