@@ -167,6 +167,31 @@ def projected_view(camera: Camera, projector: Camera, patterns: Sequence[Pattern
     return View(name, camera, None, own.read_image, projected=pictures)
 
 
+def laser_view(camera: Camera, *, frames: int = 60, width: float = 0.02, albedo: Albedo | None = None, reach: float = 0.35) -> View:
+    """Return a view of the wall y = 0 under a laser that turns about an upright axis at (0.8, -2, 0), and meets x from -reach to reach.
+
+    The sheet of light is ``width`` thick, four standard deviations of its profile.
+    """
+    light = np.array([0.8, -2.0, 0.0])
+    targets = np.linspace(-reach, reach, frames)
+    normals = np.cross(np.stack((targets, np.zeros(frames), np.zeros(frames)), -1) - light, (0.0, 0.0, 1.0))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rays = picture_rays(camera)
+    points = camera.centre + Wall((0.0, -1.0, 0.0), 0.0).distances(camera.centre, rays)[..., None] * rays
+    colors = np.full(points.shape[:-1], 0.8) if albedo is None else albedo(points)
+
+    def reader(number: int):
+        def read() -> np.ndarray:
+            beside = (points - light) @ normals[number]
+            grey = (colors * np.exp(-8 * (beside / width) ** 2)).astype(np.float32)
+            return np.repeat(grey[..., None], 3, axis=2)
+        return read
+
+    shots = tuple(ProjectedPicture(f"{n:04d}", {"kind": "laser", "plane": [*normals[n], float(normals[n] @ light)], "width": width}, None, None,
+                                   reader(n)) for n in range(frames))
+    return View("laser", camera, None, reader(frames // 2), projected=shots)
+
+
 def write_projected_capture(folder: Path, camera: Camera, projector: Camera, patterns: Sequence[Pattern], ball: Ball,
                             poses: int = 1) -> Capture:
     """Write a whole capture set of a ball on a turntable under patterns, which stands still in the object frame, and the truth."""

@@ -3,7 +3,6 @@
 """SLStudio's calibration of camera and projector with a Gray-code scan: made up with everything that can be wrong, and a real one."""
 
 import re
-import zlib
 
 import cv2
 import numpy as np
@@ -14,9 +13,9 @@ from addon.captures.pictures import write_picture
 from addon.captures.scan import load_scan
 from addon.errors import ScanstageError
 from addon.reconstruction.active.patterns import make_patterns
-from addon.reconstruction.evaluation.distances import nearest_distances
 from addon.reconstruction.geometry import Camera, rotation_about
 from addon.reconstruction.methods import METHODS
+from tests import experiments
 from tests.projection import Wall, projected_view
 
 CAMERA = Camera([[120.0, 0, 39.5], [0, 120, 29.5], [0, 0, 1]], np.eye(3), np.zeros(3), (80, 60), (-0.05, 0.01, 0, 0, 0))
@@ -71,35 +70,7 @@ def test_what_is_wrong_is_said_and_nothing_is_left(tmp_path, fault, words):
     assert [path.name for path in tmp_path.iterdir()] == ["source"]
 
 
-def points_of(path):
-    """Return the points of the scanner's own cloud: a MATLAB 5 file with one (h, w, 3) array of doubles, compressed or not."""
-    def element(data, at):
-        kind, size = map(int, np.frombuffer(data, "<u4", 2, at))
-        if kind >> 16:  # a small one, all in eight bytes
-            return data[at + 4:at + 4 + (kind >> 16)], at + 8
-        return data[at + 8:at + 8 + size], at + 8 + size + (-size % 8 if kind != 15 else 0)
-
-    data, at = path.read_bytes(), 128
-    while at < len(data):
-        packed, at = element(data, at)
-        array = element(zlib.decompress(packed), 0)[0]
-        parts, place = [], 0
-        while place < len(array):
-            part, place = element(array, place)
-            parts.append(part)
-        if bytes(parts[2]) == b"xyz":
-            points = np.frombuffer(parts[3], "<f8").reshape(3, -1).T
-            return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
-    raise AssertionError("the file holds no array xyz")
-
-
 def test_real_scan_agrees_with_the_scanners_own_cloud(tmp_path, real_captures):
     """Issue figure: median distance of at most 0.5 mm."""
-    source = real_captures("gray_code_skull")
-    import_capture("slstudio", source / "calibration.xml", tmp_path / "set", {"encoding": "linear"})
-    found = METHODS["gray-code"].measure(load_scan(tmp_path / "set", silhouettes=False))
-    theirs = points_of(source / "pointCloud.mat")
-    near = found.cloud.within(np.stack((theirs.min(axis=0), theirs.max(axis=0))))
-    assert len(near) > 0.5 * len(theirs)
-    assert np.median(nearest_distances(near.positions, theirs)) <= 0.5
-    assert np.median(nearest_distances(theirs, near.positions)) <= 0.5
+    ours, theirs = experiments.scanner_distances(real_captures("gray_code_skull"), tmp_path / "set")
+    assert ours <= 0.5 and theirs <= 0.5

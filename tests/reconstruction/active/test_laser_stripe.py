@@ -14,9 +14,9 @@ from addon.reconstruction.active.correspondence import Reason
 from addon.reconstruction.active.laser_stripe import passing_times, stripe_peaks
 from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.active.peaks import ESTIMATORS, centroid_deviations, peak_offsets
-from addon.reconstruction.geometry import Camera, look_at
-from addon.reconstruction.scan import ProjectedPicture, Scan, View
-from tests.projection import Wall, picture_rays, projected_view
+from addon.reconstruction.scan import Scan
+from tests import experiments
+from tests.projection import Wall, laser_view, projected_view
 from tests.rigs import camera_at
 
 RANDOM = np.random.default_rng(2)
@@ -25,28 +25,6 @@ WALL = Wall((0.0, -1.0, 0.0), 0.0)
 
 def measured(view, **options):
     return methods.METHODS["laser-stripe"].measure(Scan((view,)), **options)
-
-
-def laser_view(camera, *, frames=60, width=0.02, albedo=lambda points: np.full(points.shape[:-1], 0.8), reach=0.35, shift=0.0, noise=0.0):
-    """Return a view of the wall y = 0 under a laser that turns about an axis to the camera's right."""
-    light = np.array([0.8, -2.0, 0.0])
-    targets = np.linspace(-reach, reach, frames) + shift
-    normals = np.cross(np.stack((targets, np.zeros(frames), np.zeros(frames)), -1) - light, (0.0, 0.0, 1.0))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    rays = picture_rays(camera)
-    points = camera.centre + WALL.distances(camera.centre, rays)[..., None] * rays
-    colors = albedo(points)
-
-    def reader(number):
-        def read():
-            beside = (points - light) @ normals[number]
-            grey = colors * np.exp(-8 * (beside / width) ** 2) + np.random.default_rng(number).normal(0, noise, colors.shape)
-            return np.repeat(np.clip(grey, 0, 1).astype(np.float32)[..., None], 3, axis=2)
-        return read
-
-    shots = tuple(ProjectedPicture(f"{n:04d}", {"kind": "laser", "plane": [*normals[n], float(normals[n] @ light)], "width": width}, None, None,
-                                   reader(n)) for n in range(frames))
-    return View("laser", camera, None, reader(frames // 2), projected=shots)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -111,32 +89,15 @@ def test_a_plane_comes_back_without_noise(camera, projector, bent, analysis, lig
 
 
 def test_a_reflectance_step_hardly_moves_the_peak_in_time():
-    """Issue figure: a step of 10 to 1, whose error in the picture the analysis in time cuts by 80 %."""
-    camera = camera_at((0.0, -2.0, 0.0), focal=460.0, size=(160, 40))
-
-    def albedo(points):
-        return np.where(points[..., 0] > 0.013, 0.08, 0.8)
-
-    view = laser_view(camera, frames=120, width=0.03, albedo=albedo, reach=0.2)
-    worst = {}
-    for analysis in ("temporal", "spatial"):
-        cloud = measured(view, analysis=analysis, contrast=0.01).cloud
-        near = np.abs(cloud.positions[:, 0] - 0.013) < 0.03
-        assert np.count_nonzero(near) > 100
-        worst[analysis] = np.abs(cloud.positions[near, 1]).max()
-    assert worst["spatial"] > 2e-3  # or there is nothing to cut
-    assert worst["temporal"] <= 0.2 * worst["spatial"]
+    """Issue figure: a step of 10 to 1, whose error by the peak in space the analysis in time cuts by 80 %."""
+    temporal, spatial = experiments.reflectance_step()
+    assert spatial > 2e-3  # or there is nothing to cut
+    assert temporal <= 0.2 * spatial
 
 
 def test_fourteen_centimetres_and_560_samples_are_a_quarter_of_a_millimetre_apart():
-    """Issue figure, of the Digital Michelangelo project's scanner: 14 cm wide field from 1.12 m away."""
-    focal = 560 * 1.12 / 0.14
-    camera = Camera([[focal, 0, 279.5], [0, focal, 9.5], [0, 0, 1]], *look_at((0.0, -1.12, 0.0), (0.0, 0.0, 0.0)), (560, 20))
-    cloud = measured(laser_view(camera, frames=160, width=0.004, reach=0.075)).cloud
-    x, z = cloud.positions[:, 0], cloud.positions[:, 2]
-    row = np.argsort(np.round(z / 0.00025) * 10 + x)
-    gaps = np.diff(x[row])
-    assert np.median(gaps[gaps > 0]) == pytest.approx(0.25e-3, abs=0.02e-3)
+    """Issue figure, of the Digital Michelangelo project's scanner."""
+    assert experiments.laser_spacing() == pytest.approx(0.25e-3, abs=0.02e-3)
 
 
 def test_single_points_are_triangulated_one_by_one(camera, projector):
