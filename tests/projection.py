@@ -10,14 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from addon.captures.pictures import write_picture
+from addon.captures.schema import Capture, Frame
+from addon.captures.store import write_capture
 from addon.reconstruction.active.patterns import Pattern
-from addon.reconstruction.active.triangulation import picture_rays
-from addon.reconstruction.geometry import Camera
+from addon.reconstruction.active.triangulation import rays_through
+from addon.reconstruction.geometry import Camera, rotation_about
 from addon.reconstruction.scan import ProjectedPicture, View
-from tests.rigs import Ball
+from addon.results.ply import write_ply
+from tests.rigs import Ball, sphere_mesh
 
 Albedo = Callable[[np.ndarray], np.ndarray]
 
@@ -76,6 +81,12 @@ class Sight:
     points: np.ndarray
     light: np.ndarray
     pixels: np.ndarray
+
+
+def picture_rays(camera: Camera) -> np.ndarray:
+    """Return the (height, width, 3) unit rays through the centres of all pixels of a real picture."""
+    rows, columns = np.mgrid[:camera.size[1], :camera.size[0]]
+    return rays_through(camera, np.stack((columns, rows), axis=-1))
 
 
 def sight(camera: Camera, projector: Camera, surfaces: Sequence, albedo: Albedo | float = 0.8) -> Sight:
@@ -154,3 +165,48 @@ def projected_view(camera: Camera, projector: Camera, patterns: Sequence[Pattern
                      for number, pattern in enumerate(patterns))
     own = next((shot for shot in pictures if shot.pattern["kind"] == "white"), pictures[0])
     return View(name, camera, None, own.read_image, projected=pictures)
+
+
+def laser_view(camera: Camera, *, frames: int = 60, width: float = 0.02, albedo: Albedo | None = None, reach: float = 0.35) -> View:
+    """Return a view of the wall y = 0 under a laser that turns about an upright axis at (0.8, -2, 0), and meets x from -reach to reach.
+
+    The sheet of light is ``width`` thick, four standard deviations of its profile.
+    """
+    light = np.array([0.8, -2.0, 0.0])
+    targets = np.linspace(-reach, reach, frames)
+    normals = np.cross(np.stack((targets, np.zeros(frames), np.zeros(frames)), -1) - light, (0.0, 0.0, 1.0))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rays = picture_rays(camera)
+    points = camera.centre + Wall((0.0, -1.0, 0.0), 0.0).distances(camera.centre, rays)[..., None] * rays
+    colors = np.full(points.shape[:-1], 0.8) if albedo is None else albedo(points)
+
+    def reader(number: int):
+        def read() -> np.ndarray:
+            beside = (points - light) @ normals[number]
+            grey = (colors * np.exp(-8 * (beside / width) ** 2)).astype(np.float32)
+            return np.repeat(grey[..., None], 3, axis=2)
+        return read
+
+    shots = tuple(ProjectedPicture(f"{n:04d}", {"kind": "laser", "plane": [*normals[n], float(normals[n] @ light)], "width": width}, None, None,
+                                   reader(n)) for n in range(frames))
+    return View("laser", camera, None, reader(frames // 2), projected=shots)
+
+
+def write_projected_capture(folder: Path, camera: Camera, projector: Camera, patterns: Sequence[Pattern], ball: Ball,
+                            poses: int = 1) -> Capture:
+    """Write a whole capture set of a ball on a turntable under patterns, which stands still in the object frame, and the truth."""
+    frames = []
+    for pose in range(poses):
+        motion = np.eye(4)
+        motion[:3, :3] = rotation_about((0, 0, 1), 2 * np.pi * pose / poses)
+        view = projected_view(camera.moved(motion), projector.moved(motion), patterns, [Round(ball)], ambient=0.02)
+        for shot in view.projected:
+            name = f"{pose:02d}-{shot.name}"
+            write_picture(folder / "images" / f"{name}.png", shot.read_image(), bits=8)
+            frames.append(Frame(name, f"images/{name}.png", "camera", motion, pattern=shot.name))
+    truth = sphere_mesh(ball)
+    write_ply(folder / "truth.ply", truth.vertices, truth.triangles, double=True)
+    capture = Capture({"camera": camera}, tuple(frames), projectors={"projector": projector}, truth_mesh="truth.ply",
+                      patterns={pattern.id: pattern.fields for pattern in patterns})
+    write_capture(folder, capture)
+    return capture

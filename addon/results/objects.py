@@ -118,6 +118,15 @@ def add_polygon_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, coll
     return _add_object(name, mesh, collection, frame)
 
 
+def add_vertices(name: str, positions: np.ndarray, *, collection: bpy.types.Collection, frame=None) -> bpy.types.Object:
+    """Add a mesh of vertices alone, (v, 3) positions in the object frame; an earlier Scanstage result of this name is replaced."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(positions))
+    mesh.attributes["position"].data.foreach_set("vector", np.asarray(positions, np.float32).ravel())
+    remove_result(name)
+    return _add_object(name, mesh, collection, frame)
+
+
 def remove_result(name: str) -> None:
     """Remove the Scanstage result ``name`` with its mesh and materials, if there is one and nothing else uses them."""
     found = bpy.data.objects.get(name)

@@ -21,6 +21,7 @@ from ..schema import Capture
 from .board import BOARD_OPTIONS, read_board
 from .middlebury import MIDDLEBURY_OPTIONS, read_middlebury
 from .opencv import read_opencv
+from .slstudio import read_slstudio
 from .sources import Import
 
 
@@ -61,6 +62,8 @@ IMPORTERS = {importer.name: importer for importer in (
              "An XML, YAML or JSON file of OpenCV's with a P, or K R t, for each picture beside it", (), read_opencv),
     Importer("board", "Calibration board", "A folder of pictures of a calibration board before one camera, to be calibrated",
              BOARD_OPTIONS, read_board),
+    Importer("slstudio", "SLStudio", "The calibration of a camera and a projector (Kc kc Kp kp Rp Tp) with the frames of a Gray-code scan",
+             (), read_slstudio),
 )}
 
 

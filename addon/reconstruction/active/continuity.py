@@ -13,10 +13,12 @@ import numpy as np
 
 from .correspondence import Decoded, Reason
 
-_WINDOW = 7
+_REACH = 3  # pixels of the window on either side
 _LEAST_NEIGHBOURS = 12
+_LEAST_SPREAD = 0.05  # of the neighbours about their line, in squared pixels: on a line there is no plane
 _TOLERANCE = 1.0  # cells of the code, from the plane and of the neighbours about it: they scatter by 0.3 where it is one
 _MOST_ROUNDS = 32
+_CHUNK = 1 << 16  # pixels whose windows are in memory together
 
 
 def settle_by_neighbours(decoded: Decoded) -> Decoded:
@@ -24,39 +26,35 @@ def settle_by_neighbours(decoded: Decoded) -> Decoded:
 
     The plane is fitted by least squares to the valid codes in a window; what is settled in one round is a neighbour in the next.
     """
-    position, reason = decoded.position, decoded.reason.copy()
-    rows, columns = np.indices(position.shape, np.float32)
+    # A frame of pixels without a code, so that no window leaves the picture.
+    position, reason = (np.pad(values, _REACH, constant_values=value)
+                        for values, value in ((decoded.position, 0), (decoded.reason, np.uint8(Reason.UNLIT))))
     tolerance = _TOLERANCE * np.sqrt(12) * decoded.sigma
     for _ in range(_MOST_ROUNDS):
-        doubtful = reason == Reason.UNCERTAIN
-        if not doubtful.any():
+        valid = (reason == Reason.VALID).astype(np.uint8)
+        neighbours = cv2.boxFilter(valid, cv2.CV_16U, (2 * _REACH + 1,) * 2, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        pixels = np.flatnonzero((reason == Reason.UNCERTAIN) & (neighbours >= _LEAST_NEIGHBOURS))
+        settled = [part[_continues(position, valid, part, tolerance)] for part in np.split(pixels, range(_CHUNK, len(pixels), _CHUNK))]
+        if not any(map(len, settled)):
             break
-        predicted, scatter = _continued(position, reason == Reason.VALID, rows, columns)
-        settled = doubtful & (np.abs(position - predicted) <= tolerance) & (scatter <= tolerance)
-        if not settled.any():
-            break
-        reason[settled] = Reason.VALID
-    return Decoded(position, reason, decoded.sigma)
+        reason.ravel()[np.concatenate(settled)] = Reason.VALID
+    inner = slice(_REACH, -_REACH)
+    return Decoded(decoded.position, np.ascontiguousarray(reason[inner, inner]), decoded.sigma)
 
 
-def _continued(position: np.ndarray, valid: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what the plane through the valid positions in each window has in its middle, and how they scatter about it.
-
-    NaN where there are too few, or all on a line.
-    """
-    weight = valid.astype(np.float32)
-
-    def total(values: np.ndarray) -> np.ndarray:
-        return cv2.boxFilter(values * weight, cv2.CV_64F, (_WINDOW, _WINDOW), normalize=False, borderType=cv2.BORDER_CONSTANT)
-
-    count = np.maximum(total(np.ones_like(weight)), 1)
-    x, y, z = (total(values) / count for values in (columns, rows, position))
-    xx, yy, xy = total(columns * columns) / count - x * x, total(rows * rows) / count - y * y, total(columns * rows) / count - x * y
-    xz, yz = total(columns * position) / count - x * z, total(rows * position) / count - y * z
-    zz = total(position * position) / count - z * z
+def _continues(position: np.ndarray, valid: np.ndarray, pixels: np.ndarray, tolerance: float) -> np.ndarray:
+    """Return (n,) bool: whether pixels, by their flat indices, lie on the plane through the valid positions about them."""
+    down, across = (place.ravel() for place in np.mgrid[-_REACH:_REACH + 1, -_REACH:_REACH + 1])
+    around = pixels[:, None] + down * position.shape[1] + across
+    weight = valid.ravel()[around].astype(np.float64)
+    height = weight * (position.ravel()[around] - position.ravel()[pixels][:, None])  # above the pixel's own: small numbers
+    count = weight.sum(axis=1)
+    x, y, z = weight @ across / count, weight @ down / count, height.sum(axis=1) / count
+    xx, yy, xy = (weight @ (a * b) / count - c * d for a, b, c, d in ((across, across, x, x), (down, down, y, y), (across, down, x, y)))
+    xz, yz, zz = height @ across / count - x * z, height @ down / count - y * z, (height ** 2).sum(axis=1) / count - z * z
     determinant = xx * yy - xy * xy
-    enough = (count >= _LEAST_NEIGHBOURS) & (determinant > 0.05)
+    enough = determinant > _LEAST_SPREAD
     safe = np.where(enough, determinant, 1)
     a, b = (yy * xz - xy * yz) / safe, (xx * yz - xy * xz) / safe
     scatter = np.sqrt(np.maximum(zz - a * xz - b * yz, 0))
-    return np.where(enough, z + a * (columns - x) + b * (rows - y), np.nan), scatter
+    return enough & (np.abs(z - a * x - b * y) <= tolerance) & (scatter <= tolerance)

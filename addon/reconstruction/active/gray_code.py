@@ -22,6 +22,7 @@ import numpy as np
 from .correspondence import CONTRAST, Decoded, Reason, full_scale
 
 _BYTE = 8
+_DOUBTFUL, _SATURATED, _OUTSIDE, _UNLIT = (np.uint8(1 << bit) for bit in range(4))  # set by masks of bytes, read by one table
 _BAND = 1 << 18  # bytes of a picture that are worked on at a time: few calls, and arrays that stay near the processor
 
 
@@ -88,14 +89,25 @@ def _decoded(pairs: Iterable[tuple[np.ndarray, np.ndarray | None]], white: np.nd
     # Indirect light is even under fine patterns only, and the finest is blurred by the lenses: the next two serve best.
     fine = last[:2] if finest == 0 and len(last) == 3 else last[-2:]
     direct, indirect = separated([picture for pair in fine for picture in pair], black)
-    reason = np.zeros(white.shape, np.uint8)
+    flags = cv2.compare(direct, least, cv2.CMP_LT) & _UNLIT
+    flags |= cv2.compare(position, length - 1 + 0.5 * (2 ** finest - 1), cv2.CMP_GT) & _OUTSIDE
     if robust:
-        doubt = cv2.bitwise_not(contrasts.told(direct, indirect, least)).view(bool)
-        np.copyto(reason, np.uint8(Reason.UNCERTAIN), where=doubt)
-        np.copyto(reason, np.uint8(Reason.SATURATED), where=doubt & (white >= full_scale(white)))
-    np.copyto(reason, np.uint8(Reason.OUTSIDE), where=position > length - 1 + 0.5 * (2 ** finest - 1))
-    np.copyto(reason, np.uint8(Reason.UNLIT), where=cv2.compare(direct, least, cv2.CMP_LT).view(bool))
-    return position, reason
+        doubt = cv2.bitwise_not(contrasts.told(direct, indirect, least))
+        flags |= doubt & _DOUBTFUL
+        flags |= cv2.bitwise_and(doubt, cv2.compare(white, full_scale(white), cv2.CMP_GE)) & _SATURATED
+    return position, cv2.LUT(flags, _REASONS)
+
+
+def _first_reasons() -> np.ndarray:
+    """Return the reason for each set of flags: that of the highest."""
+    flags = np.arange(256)
+    reasons = np.zeros(256, np.uint8)
+    for flag, reason in ((_DOUBTFUL, Reason.UNCERTAIN), (_SATURATED, Reason.SATURATED), (_OUTSIDE, Reason.OUTSIDE), (_UNLIT, Reason.UNLIT)):
+        reasons[flags & flag != 0] = reason
+    return reasons
+
+
+_REASONS = _first_reasons()
 
 
 def separated(pictures: Sequence[np.ndarray], black: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

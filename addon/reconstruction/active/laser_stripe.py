@@ -27,7 +27,7 @@ from .peaks import ESTIMATORS, centroid_deviations, peak_offsets
 from .sequences import number_of, of_kind, read_grey
 from .structured_light import FILL
 from .sweeps import Sweep, find_sweeps
-from .triangulation import LEAST_ANGLE, meet_rays, picture_rays, pixel_width, rays_through
+from .triangulation import LEAST_ANGLE, meet_rays, pixel_width, rays_through
 
 ANALYSES = {"temporal": "When the stripe passes each pixel (Curless & Levoy): right also where colour or shape change under the stripe",
             "spatial": "Where the stripe is in each picture: its peak along lines of pixels"}
@@ -78,7 +78,7 @@ def _temporal(view: View, number: int, sweep: Sweep, *, estimator: str, contrast
     index, deviation, reason = passing_times((read_grey(picture) for picture in sweep.pictures), len(sweep.pictures), half,
                                              estimator=estimator, contrast=contrast, noise=noise)
     rows, columns = np.nonzero(reason == Reason.VALID)
-    rays = picture_rays(view.camera)[rows, columns]
+    rays = rays_through(view.camera, np.stack((columns, rows), axis=-1))
     return _triangulated(view, number, sweep, sweep.at(index[rows, columns].astype(np.float64)), rays, (rows, columns),
                          deviation[rows, columns] * sweep.spacing, reason)
 
@@ -239,7 +239,8 @@ def _points(view: View, number: int, pictures: Sequence[ProjectedPicture], *, co
 
 
 def _spot(image: np.ndarray, contrast: float, noise: float) -> tuple[float, float, float] | None:
-    """Return column and row of the brightest point's middle, and its expected error in pixels; None if it is too dark."""
+    """Return column and row of the brightest point's middle, and its expected error in pixels; None if it is too dark
+    or cut by the picture."""
     background = float(np.median(image))
     smooth = cv2.GaussianBlur(image, (0, 0), _SMOOTHING)
     _, peak, _, (column, row) = cv2.minMaxLoc(smooth)
@@ -247,8 +248,10 @@ def _spot(image: np.ndarray, contrast: float, noise: float) -> tuple[float, floa
         return None
     # Grown until the light has fallen off, so that all of the point is in the window and no more.
     radius = int(np.ceil(_SPOT * np.sqrt(max(np.count_nonzero(smooth - background > 0.5 * (peak - background)), 1) / np.pi))) + 1
-    top, left = max(row - radius, 0), max(column - radius, 0)
-    light = np.maximum(image[top:row + radius + 1, left:column + radius + 1] - background, 0).astype(np.float64)
-    rows, columns = np.mgrid[top:top + light.shape[0], left:left + light.shape[1]]
-    spread = np.sqrt(((columns - column) ** 2).sum())
-    return float((columns * light).sum() / light.sum()), float((rows * light).sum() / light.sum()), float(noise * spread / light.sum())
+    if not (radius <= row < image.shape[0] - radius and radius <= column < image.shape[1] - radius):
+        return None  # the picture may have cut it
+    places = np.arange(-radius, radius + 1)
+    light = np.maximum(image[row - radius:row + radius + 1, column - radius:column + radius + 1] - background, 0).astype(np.float64)
+    total, spread = light.sum(), np.sqrt((places ** 2).sum() * len(places))
+    across, down = (float(light.sum(axis=axis) @ places / total) for axis in (0, 1))
+    return column + across, row + down, float(noise * spread / total)

@@ -23,7 +23,7 @@ from ..scan import Scan, View
 from .correspondence import SENTENCES, Decoded, Reason, tally
 from .free_space import DepthMap, colored_surface, depth_map_of, occupied, projector_depths
 from .patterns import AXES
-from .triangulation import LEAST_ANGLE, meet_lines, meet_rays, picture_rays, pixel_width, rays_through
+from .triangulation import LEAST_ANGLE, meet_lines, meet_rays, pixel_width, rays_through
 
 MAX_GAP = 2.0
 """Projector pixels by which the rays of camera and projector may miss each other."""
@@ -134,7 +134,7 @@ def measure_view(view: View, number: int, projector: Camera, decoded: Mapping[st
     axes = [axis for axis in AXES if axis in decoded]
     reason = np.maximum.reduce([decoded[axis].reason for axis in axes])
     rows, columns = np.nonzero(reason == Reason.VALID)
-    rays = picture_rays(view.camera)[rows, columns]
+    rays = rays_through(view.camera, np.stack((columns, rows), axis=-1))
     origin = view.camera.centre
     positions = [decoded[axis].position[rows, columns].astype(np.float64) for axis in axes]
     sigma = np.sqrt(np.mean([np.broadcast_to(decoded[axis].sigma, reason.shape)[rows, columns] ** 2 for axis in axes], axis=0))
@@ -186,7 +186,7 @@ def measurement_of(view: View, number: int, points: np.ndarray, pixels: tuple[np
     front = local[:, 2] > 0
     seen = np.zeros((*reason.shape, 3))
     seen[pixels[0][front], pixels[1][front]] = local[front]
-    cloud = PointCloud(points, (view_normals(seen) @ view.camera.R)[pixels], np.clip(view.read_image()[pixels], 0, 1), deviation,
+    cloud = PointCloud(points, _normals_at(seen, pixels) @ view.camera.R, np.clip(view.read_image()[pixels], 0, 1), deviation,
                        np.full(len(points), number))
     maps = [depth_map_of(view.camera, seen[..., 2])]
     if projector is not None:
@@ -194,6 +194,14 @@ def measurement_of(view: View, number: int, points: np.ndarray, pixels: tuple[np
     counts = tally(reason)
     return Measurement(cloud, tuple(maps), counts, tuple(decoding_warnings(view.name, counts)),
                        {f"decoded-{view.name}": reason_picture(reason)})
+
+
+def _normals_at(seen: np.ndarray, pixels: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the normals (n, 3) at pixels of a picture of points, computed no farther than there are any."""
+    if not len(pixels[0]):
+        return np.zeros((0, 3))
+    (top, left), (bottom, right) = ([int(function(place)) for place in pixels] for function in (np.min, np.max))
+    return view_normals(seen[top:bottom + 1, left:right + 1])[pixels[0] - top, pixels[1] - left]
 
 
 def view_normals(points: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -31,7 +32,8 @@ def read_grey(picture: ProjectedPicture) -> np.ndarray:
     """Return a picture as (h, w) float32: the mean of its channels, or 1 where one of them is saturated."""
     image = picture.read_image()
     grey = cv2.transform(image, np.full((1, 3), 1 / 3, np.float32))
-    grey[image.max(axis=2) >= 1] = 1
+    brightest = reduce(cv2.max, cv2.split(image))
+    cv2.copyTo(np.ones_like(grey), cv2.compare(brightest, 1, cv2.CMP_GE), grey)
     return grey
 
 

@@ -41,12 +41,6 @@ def rays_through(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
-def picture_rays(camera: Camera) -> np.ndarray:
-    """Return the (height, width, 3) unit rays through the centres of all pixels."""
-    rows, columns = np.mgrid[:camera.size[1], :camera.size[0]]
-    return rays_through(camera, np.stack((columns, rows), axis=-1))
-
-
 def meet_planes(origin: np.ndarray, rays: np.ndarray, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Intersect rays with planes of light.
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from addon.reconstruction.active.correspondence import Decoded, Reason
-from addon.reconstruction.active.decoding import decode_view
-from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.active.phase_shift import fit_phase, unwrap_by_frequencies, unwrap_by_position
-from tests.projection import projected_view, sight
+from tests import experiments
 
 RANDOM = np.random.default_rng(11)
 PHASE = RANDOM.uniform(0, 2 * np.pi, (200, 250))
@@ -37,10 +35,8 @@ def test_phase_and_amplitude_come_back(steps):
 
 @pytest.mark.parametrize("steps", [3, 4, 8])
 def test_noise_of_the_phase_is_that_of_the_formula(steps):
-    """Issue figure: within 5 % of ``sigma_I / B sqrt(2 / N)``; 50,000 pixels know a deviation to 0.3 %."""
-    fitted = fit_phase(waves(PHASE, steps, noise=2.0), steps)
-    measured = np.sqrt(np.mean(turned(fitted.phase - PHASE) ** 2))
-    assert measured == pytest.approx(2.0 / 80 * np.sqrt(2 / steps), rel=0.05)
+    """Issue figure: within 5 %; 50,000 pixels know a deviation to 0.3 %."""
+    assert experiments.phase_noise(steps) == pytest.approx(1, abs=0.05)
 
 
 @pytest.mark.parametrize("steps", [4, 5, 8, 16])
@@ -89,16 +85,7 @@ def test_saturated_and_dark_pixels_say_so():
     assert (unwrap_by_position(dark, 16.0, coarse, noise=1.0, length=16).reason == Reason.UNLIT).all()
 
 
-def test_four_steps_are_four_times_finer_than_the_gray_code(camera, projector, scene):
+def test_four_steps_are_four_times_finer_than_the_gray_code():
     """Issue figures: RMS of at most 0.06 projector pixels, and a quarter of the Gray code's."""
-    truth = sight(camera, projector, scene)
-    lit = truth.light > 0.4  # amplitudes from 51 of 255
-    errors = {}
-    for name in ("gray-code", "phase-shift"):
-        patterns = make_patterns(name, projector.size, {"axes": "columns"})
-        view = projected_view(camera, projector, patterns, scene, noise=2 / 255, levels=255, albedo=0.95)
-        decoded = decode_view(view.projected, projector.size)["column"]
-        errors[name] = (decoded.position - truth.pixels[..., 0])[decoded.valid & lit]
-        assert len(errors[name]) > 0.99 * np.count_nonzero(lit)
-    fine, coarse = (float(np.sqrt(np.mean(errors[name] ** 2))) for name in ("phase-shift", "gray-code"))
+    fine, coarse = experiments.phase_against_gray_code()
     assert fine <= 0.06 and coarse / fine >= 4
