@@ -20,7 +20,9 @@ from .captures.store import files_of, read_capture
 from .errors import ScanstageError
 from .options import Option, Value, resolve
 from .progress import Progress, part_of, silent
+from .reconstruction.active.sequences import of_kind, read_grey
 from .reconstruction.calibration.bundle import motion
+from .reconstruction.calibration.laser import laser_plane, stripe_on_board
 from .reconstruction.calibration.quality import pose_warnings, residual_picture
 from .reconstruction.calibration.rig import Rig, calibrate_rig, rms
 from .reconstruction.calibration.sightings import BoardView, find_sightings
@@ -59,8 +61,8 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
     dict
         The report. Of each device ``rms`` and ``views`` (the RMS of each frame) in pixels, ``K``, ``distortion``, ``deviations``
         (standard deviations of fx fy cx cy k1 k2 p1 p2 k3), and ``difference`` from what the set had: where that was rendered,
-        the error. ``turntable`` or None, angles in degrees; ``board_poses``, board to world; ``not_found``, frames; and
-        ``warnings``, sentences.
+        the error. ``turntable`` or None, angles in degrees; ``lasers``, the plane of each laser's pattern;
+        ``board_poses``, board to world; ``not_found``, frames; and ``warnings``, sentences.
 
     Raises
     ------
@@ -84,16 +86,21 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
     rig = calibrate_rig(before.board.corners, sightings.found, sizes, lenses, world=motion(first.R, first.t), turns=_turns(views))
     warnings = [*sightings.warnings, *(f"{name}: has no frames of the board; left as it was" for name in known if name not in seeing),
                 *(warning for name in rig.devices for warning in pose_warnings(rig, before.board.corners, name)), *_table_warnings(rig)]
-    world, to_world = {name: device.moved(rig.world) for name, device in rig.devices.items()}, np.linalg.inv(rig.world)
-    report = {
-        "board": asdict(before.board), "devices": {name: _device_report(rig, name, world[name], known[name]) for name in rig.devices},
-        "turntable": _table_report(rig), "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()},
-        "not_found": list(sightings.not_found), "warnings": warnings}
-    after = replace(before, cameras=_replaced(before.cameras, "camera", world), projectors=_replaced(before.projectors, "projector", world))
+    lasers, laser_warnings = _lasers(before, views, rig)
+    report = _report(before, rig, lasers, sightings.not_found, [*warnings, *laser_warnings])
     extra = {f"{FOLDER}/{_file_name(name)}.png": _png(residual_picture(rig, name)) for name in rig.devices}
     extra[f"{FOLDER}/{REPORT}"] = json.dumps(report, indent=1, allow_nan=False).encode()
-    put_in_place(after, {path: capture / path for _, path, _ in files_of(before)}, out, part_of(progress, 0.9, 1.0), extra=extra)
+    pictures = {path: capture / path for _, path, _ in files_of(before)}
+    put_in_place(_calibrated(before, rig, lasers), pictures, out, part_of(progress, 0.9, 1.0), extra=extra)
     return report
+
+
+def _calibrated(capture: Capture, rig: Rig, lasers: Mapping[str, dict]) -> Capture:
+    """Return the set with what was found in the place of what it had."""
+    devices = {name: device.moved(rig.world) for name, device in rig.devices.items()}
+    patterns = {id: {**fields, "plane": lasers[id]["plane"]} if id in lasers else fields for id, fields in capture.patterns.items()}
+    return replace(capture, patterns=patterns, cameras={id: devices.get(f"camera {id}", camera) for id, camera in capture.cameras.items()},
+                   projectors={id: devices.get(f"projector {id}", one) for id, one in capture.projectors.items()})
 
 
 def _devices(capture: Capture) -> dict[str, Camera]:
@@ -112,10 +119,6 @@ def _refuse_ambiguity(capture: Capture, views: Sequence[BoardView]) -> None:
         raise ScanstageError(f"{FILE_NAME}: board: half a turn leaves a checkerboard of {capture.board.columns} x {capture.board.rows} "
                              f"squares as it is, so {'cameras' if others else 'poses on the turntable'} cannot be related by it; use one "
                              "with an odd sum of columns and rows, or ChArUco")
-
-
-def _replaced(devices: Mapping[str, Camera], kind: str, calibrated: Mapping[str, Camera]) -> dict[str, Camera]:
-    return {id: calibrated.get(f"{kind} {id}", device) for id, device in devices.items()}
 
 
 def _turns(views: Sequence[BoardView]) -> dict[str, tuple[str, np.ndarray]]:
@@ -137,6 +140,14 @@ def _table_warnings(rig: Rig) -> list[str]:
     return warnings
 
 
+def _report(capture: Capture, rig: Rig, lasers: dict[str, dict], not_found: Sequence[str], warnings: list[str]) -> dict:
+    known, to_world = _devices(capture), np.linalg.inv(rig.world)
+    return {"board": asdict(capture.board), "devices": {name: _device_report(rig, name, known[name]) for name in rig.devices},
+            "turntable": _table_report(rig), "lasers": lasers,
+            "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()},
+            "not_found": list(not_found), "warnings": warnings}
+
+
 def _table_report(rig: Rig) -> dict | None:
     if rig.turntable is None:
         return None
@@ -145,7 +156,30 @@ def _table_report(rig: Rig) -> dict | None:
             "tilt": float(np.degrees(axis.tilt)), "offset": axis.offset}
 
 
-def _device_report(rig: Rig, name: str, device: Camera, before: Camera) -> dict:
+def _lasers(capture: Capture, views: Sequence[BoardView], rig: Rig) -> tuple[dict[str, dict], list[str]]:
+    """Return the plane in the world of each laser's pattern that crosses the board, and warnings."""
+    pattern_of = {frame.id: frame.pattern for frame in capture.frames}
+    seen: dict[str, list[tuple[Camera, np.ndarray, np.ndarray]]] = {}
+    for shown in views:
+        camera = rig.devices.get(f"camera {shown.camera_id}")
+        for picture in of_kind(shown.view.projected, "laser") if camera is not None and shown.pose in rig.poses else ():
+            in_world = camera.moved(rig.world), np.linalg.inv(rig.world) @ rig.poses[shown.pose]
+            stripe = stripe_on_board(capture.board, *in_world, read_grey(picture))
+            if len(stripe):
+                seen.setdefault(pattern_of[picture.name], []).append((*in_world, stripe))
+    found, warnings = {}, []
+    for id, stripes in seen.items():
+        if len(stripes) < 2:
+            warnings.append(f"laser {id}: crosses the board in one pose only; its plane is left as it was")
+            continue
+        plane = laser_plane(*zip(*stripes, strict=True))
+        found[id] = {"plane": [*plane.normal.tolist(), plane.distance], "rms": plane.rms, "poses": len(stripes)}
+        warnings += [f"laser {id}: {warning}" for warning in plane.warnings]
+    return found, warnings
+
+
+def _device_report(rig: Rig, name: str, before: Camera) -> dict:
+    device = rig.devices[name].moved(rig.world)
     views: dict[str, float] = {}
     for sighting, residual in zip(rig.sightings, rig.residuals, strict=True):
         if sighting.device == name:

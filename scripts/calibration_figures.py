@@ -3,6 +3,7 @@
 """The table of calibrations for figures.py: rendered rigs against the truth that rendered them, and photographs of a board."""
 
 import json
+import math
 import os
 import sys
 import tempfile
@@ -15,7 +16,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 K1 = -0.1
 PROJECTOR_RIG = {"poses": 10, "turns": 0, "projector_k1": K1, "throw_ratio": 0.7}  # of wide throw: there the lens matters
-TABLE_RIG = {"poses": 20, "turns": 12, "projector": False, "resolution_x": 1280, "resolution_y": 960, "elevation": np.radians(35)}
+TABLE_RIG = {"poses": 20, "turns": 12, "projector": False, "resolution_x": 1280, "resolution_y": 960, "elevation": math.radians(35)}
 
 
 def rows(told):

@@ -18,7 +18,7 @@ from addon.reconstruction.calibration.board import Board
 from addon.reconstruction.calibration.bundle import motion
 from addon.reconstruction.calibration.light import light_from_pencils
 from addon.reconstruction.geometry import Camera, look_at, rotation_about
-from tests.boards import board_albedo, device, spread_poses, write_board_capture
+from tests.boards import board_albedo, board_points, device, sight_lines, spread_poses, write_board_capture
 
 BOARD = Board("checkerboard", 8, 5, 0.03)
 R, T = look_at((0.0, -0.35, 0.4), (0.0, 0.0, 0.0))
@@ -88,6 +88,41 @@ def test_the_set_keeps_its_pictures_and_gains_a_report_with_pictures(calibrated)
     assert not [path for path in folder.iterdir() if path.name.startswith(".")]
 
 
+def change(folder, target, pictures=None, **fields):
+    """Copy a set with other fields."""
+    capture = read_capture(folder)
+    for frame in pictures or capture.frames:
+        (target / frame.image).parent.mkdir(parents=True, exist_ok=True)
+        (target / frame.image).write_bytes((folder / frame.image).read_bytes())
+    write_capture(target, replace(capture, **fields))
+    return target
+
+
+def test_a_lasers_plane_is_found_where_its_stripe_crosses_the_board(simple, tmp_path):
+    plane, wrong = np.array([0.96, 0.28, 0.0, 0.012]), [1.0, 0.0, 0.0, 0.0]  # in the world
+    capture = read_capture(simple)
+    frames, to_world = list(capture.frames), np.linalg.inv(motion(R, T))
+    (tmp_path / "set/images").mkdir(parents=True)
+    for number, pose in enumerate(by_hand(5)):
+        lines = sight_lines(CAMERA)
+        on_board = board_points(device(1, (4, 4)), motion(R, T) @ pose, lines)
+        world = np.concatenate((on_board, np.zeros((*on_board.shape[:2], 1))), axis=-1) @ pose[:3, :3].T + pose[:3, 3]
+        light = np.exp(-((world @ plane[:3] - plane[3]) / 0.0016) ** 2)
+        plain = device(430, (400, 300), centre=(201, 147))
+        name = f"laser-{number}"
+        write_picture(tmp_path / f"set/images/{name}.png", np.repeat((light * board_albedo(BOARD, plain, np.linalg.inv(to_world) @ pose))[..., None], 3, -1))
+        frames.append(replace(frames[number], id=name, image=f"images/{name}.png", pattern="line" if number else "once"))
+    folder = change(simple, tmp_path / "set", pictures=capture.frames, frames=tuple(frames),
+                    patterns={"line": {"kind": "laser", "plane": wrong}, "once": {"kind": "laser", "plane": wrong}})
+    report = calibrate(folder, tmp_path / "out")
+    found = np.array(read_capture(tmp_path / "out").patterns["line"]["plane"])
+    found *= np.sign(found[:3] @ plane[:3])
+    assert np.degrees(np.arccos(min(found[:3] @ plane[:3], 1))) < 0.5 and abs(found[3] - plane[3]) < 0.001  # a pixel is 1.1 mm
+    assert report["lasers"]["line"]["poses"] == 4 and report["lasers"]["line"]["rms"] < 0.5e-3
+    assert read_capture(tmp_path / "out").patterns["once"]["plane"] == wrong
+    assert "laser once: crosses the board in one pose only; its plane is left as it was" in report["warnings"]
+
+
 def test_without_a_table_the_camera_stays_where_the_set_has_it(simple, tmp_path):
     report = calibrate(simple, tmp_path / "out", options={"camera_lens": "none"})
     camera = read_capture(tmp_path / "out").cameras["cam"]
@@ -95,16 +130,6 @@ def test_without_a_table_the_camera_stays_where_the_set_has_it(simple, tmp_path)
     np.testing.assert_array_equal(camera.t, CAMERA.t)
     assert not camera.distorted and report["turntable"] is None
     assert report["warnings"][0] == "camera cam: only 5 poses of the board; take 10 to 20"
-
-
-def change(folder, target, **fields):
-    """Copy a set with other fields."""
-    capture = read_capture(folder)
-    for frame in capture.frames:
-        (target / frame.image).parent.mkdir(parents=True, exist_ok=True)
-        (target / frame.image).write_bytes((folder / frame.image).read_bytes())
-    write_capture(target, replace(capture, **fields))
-    return target
 
 
 def test_frames_without_the_board_are_named_and_left_out(simple, tmp_path):
