@@ -19,7 +19,7 @@ from ..geometry import Camera, rotation_about
 from .camera import LENSES, Sighting
 from .turntable import Axis
 
-_STEPS = 100
+_STEPS = 50
 _CONVERGED = 1e-13  # of the squared error: the share by which a last step still lowers it
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-6, 1e-12, 1e8  # of normal equations with a diagonal of ones
 _INTRINSICS = 9  # fx fy cx cy k1 k2 p1 p2 k3
@@ -120,12 +120,12 @@ class Problem:
         hessian, gradient, cost = np.zeros((count, count)), np.zeros(count), 0.0
         for sighting in self.sightings:
             predicted, blocks = self._derivatives(sighting, estimate)
-            own = {columns[key]: block / noise[sighting.device] for key, block in blocks.items() if key in columns}
+            own = [(columns[key], block / noise[sighting.device]) for key, block in blocks.items() if key in columns]
             error = (sighting.pixels - predicted).ravel() / noise[sighting.device]
             cost += float(error @ error)
-            for rows, left in own.items():
+            for rows, left in own:
                 gradient[rows] += left.T @ error
-                for across, right in own.items():
+                for across, right in own:
                     hessian[rows, across] += left.T @ right
         return hessian, gradient, cost
 

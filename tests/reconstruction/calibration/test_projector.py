@@ -75,7 +75,7 @@ def by_one_homography(pixels, decoded):
 @pytest.mark.parametrize("k1", [0.0, -0.1])
 def test_local_homographies_follow_a_lens_and_a_global_one_does_not(k1):
     lamp, rng = projector(k1), np.random.default_rng(2)
-    poses = spread_poses(BOARD, rng, 10, nearest=0.5, furthest=0.7)
+    poses = spread_poses(BOARD, rng, 7, nearest=0.5, furthest=0.7)
     maps = [decoded_map(BOARD, CAMERA, lamp, pose) for pose in poses]
     errors, left = {}, {}
     for name, carry in (("local", projector_corners), ("global", by_one_homography)):
