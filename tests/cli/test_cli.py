@@ -18,9 +18,11 @@ from addon.cli import main
 from addon.cli.progress_bar import ProgressBar, drain
 from addon.cli.verbs import VERBS
 from addon.errors import Cancelled, ScanstageError
+from addon.reconstruction.calibration.board import Board
 from addon.reconstruction.methods import METHODS
 from addon.results.folder import read_result
 from addon.results.meshes import read_mesh
+from tests.boards import device, spread_poses, write_board_capture
 from tests.rigs import Ball, ring, write_ball_capture
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "scanstage.py"
@@ -101,6 +103,19 @@ def test_a_mistake_of_ours_is_not_dressed_up_as_the_users(reconstruct, monkeypat
     monkeypatch.setattr("addon.cli.verbs.reconstruct", lambda *args, **kwargs: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         reconstruct()
+
+
+def test_a_calibration_says_how_good_each_device_is_and_what_is_weak(run, tmp_path):
+    board, camera = Board("checkerboard", 8, 5, 0.03), device(430, (400, 300))
+    poses = spread_poses(board, np.random.default_rng(4), 4, nearest=0.45, furthest=0.55)
+    write_board_capture(tmp_path / "before", board, camera, None, poses)
+    status, out, _ = run("calibrate", tmp_path / "before", "--out", tmp_path / "after", "--quiet", "--report", tmp_path / "report.json")
+    first, of_camera, *warnings = out.splitlines()
+    assert status == 0 and first == f"{tmp_path / 'after'}: 1 device(s) calibrated"
+    assert of_camera.startswith("  camera cam          RMS 0.") and "in 4 poses" in of_camera
+    assert warnings[0] == "  warning: camera cam: only 4 poses of the board; take 10 to 20"
+    kept = json.loads((tmp_path / "report.json").read_text())
+    assert kept["devices"] == json.loads((tmp_path / "after/calibration/report.json").read_text())["devices"]
 
 
 # --- what goes where ---------------------------------------------------------------------------------------------------------
