@@ -23,6 +23,7 @@ from .progress import Progress, part_of, silent
 from .reconstruction.active.sequences import of_kind, read_grey
 from .reconstruction.calibration.bundle import motion
 from .reconstruction.calibration.laser import laser_plane, stripe_on_board
+from .reconstruction.calibration.light import light_from_pencils
 from .reconstruction.calibration.quality import pose_warnings, residual_picture
 from .reconstruction.calibration.rig import Rig, calibrate_rig, rms
 from .reconstruction.calibration.sightings import BoardView, find_sightings
@@ -61,7 +62,7 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
     dict
         The report. Of each device ``rms`` and ``views`` (the RMS of each frame) in pixels, ``K``, ``distortion``, ``deviations``
         (standard deviations of fx fy cx cy k1 k2 p1 p2 k3), and ``difference`` from what the set had: where that was rendered,
-        the error. ``turntable`` or None, angles in degrees; ``lasers``, the plane of each laser's pattern;
+        the error. ``turntable`` or None, angles in degrees; ``lasers``, the plane of each laser's pattern; ``lights``, the position;
         ``board_poses``, board to world; ``not_found``, frames; and ``warnings``, sentences.
 
     Raises
@@ -87,20 +88,25 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
     warnings = [*sightings.warnings, *(f"{name}: has no frames of the board; left as it was" for name in known if name not in seeing),
                 *(warning for name in rig.devices for warning in pose_warnings(rig, before.board.corners, name)), *_table_warnings(rig)]
     lasers, laser_warnings = _lasers(before, views, rig)
-    report = _report(before, rig, lasers, sightings.not_found, [*warnings, *laser_warnings])
+    lights, light_warnings = _lights(before, views, rig)
+    report = {**_report(before, rig), "lasers": lasers, "lights": lights, "not_found": list(sightings.not_found),
+              "warnings": [*warnings, *laser_warnings, *light_warnings]}
     extra = {f"{FOLDER}/{_file_name(name)}.png": _png(residual_picture(rig, name)) for name in rig.devices}
     extra[f"{FOLDER}/{REPORT}"] = json.dumps(report, indent=1, allow_nan=False).encode()
     pictures = {path: capture / path for _, path, _ in files_of(before)}
-    put_in_place(_calibrated(before, rig, lasers), pictures, out, part_of(progress, 0.9, 1.0), extra=extra)
+    put_in_place(_calibrated(before, rig, lasers, lights), pictures, out, part_of(progress, 0.9, 1.0), extra=extra)
     return report
 
 
-def _calibrated(capture: Capture, rig: Rig, lasers: Mapping[str, dict]) -> Capture:
+def _calibrated(capture: Capture, rig: Rig, lasers: Mapping[str, dict], lights: Mapping[str, dict]) -> Capture:
     """Return the set with what was found in the place of what it had."""
     devices = {name: device.moved(rig.world) for name, device in rig.devices.items()}
     patterns = {id: {**fields, "plane": lasers[id]["plane"]} if id in lasers else fields for id, fields in capture.patterns.items()}
-    return replace(capture, patterns=patterns, cameras={id: devices.get(f"camera {id}", camera) for id, camera in capture.cameras.items()},
-                   projectors={id: devices.get(f"projector {id}", one) for id, one in capture.projectors.items()})
+    return replace(capture, patterns=patterns,
+                   cameras={id: devices.get(f"camera {id}", camera) for id, camera in capture.cameras.items()},
+                   projectors={id: devices.get(f"projector {id}", one) for id, one in capture.projectors.items()},
+                   lights={id: replace(light, position=np.array(lights[id]["position"])) if id in lights else light
+                           for id, light in capture.lights.items()})
 
 
 def _devices(capture: Capture) -> dict[str, Camera]:
@@ -140,12 +146,30 @@ def _table_warnings(rig: Rig) -> list[str]:
     return warnings
 
 
-def _report(capture: Capture, rig: Rig, lasers: dict[str, dict], not_found: Sequence[str], warnings: list[str]) -> dict:
+def _lights(capture: Capture, views: Sequence[BoardView], rig: Rig) -> tuple[dict[str, dict], list[str]]:
+    """Return where in the world the light with pencils is, and warnings."""
+    pencils = capture.pencils
+    if pencils is None:
+        return {}, []
+    place = f"{FILE_NAME}: pencils"
+    pose = next((shown.pose for shown in views if shown.placement == pencils.board_pose and shown.pose in rig.poses), None)
+    if pose is None or f"camera {pencils.camera}" not in rig.devices:
+        raise ScanstageError(f"{place}: the board is not found at {pencils.board_pose!r}, or not by camera {pencils.camera}; name another")
+    on_board = rig.poses[pose]
+    camera = rig.devices[f"camera {pencils.camera}"].moved(on_board)
+    try:
+        found = light_from_pencils(camera, pencils.bases, pencils.shadow_tips, pencils.height)
+    except ScanstageError as error:
+        raise ScanstageError(f"{place}: {error}") from None
+    position = (np.linalg.inv(rig.world) @ on_board @ np.append(found.position, 1.0))[:3]
+    return ({pencils.light: {"position": position.tolist(), "rms": found.rms, "condition": found.condition}},
+            [f"light {pencils.light}: {warning}" for warning in found.warnings])
+
+
+def _report(capture: Capture, rig: Rig) -> dict:
     known, to_world = _devices(capture), np.linalg.inv(rig.world)
     return {"board": asdict(capture.board), "devices": {name: _device_report(rig, name, known[name]) for name in rig.devices},
-            "turntable": _table_report(rig), "lasers": lasers,
-            "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()},
-            "not_found": list(not_found), "warnings": warnings}
+            "turntable": _table_report(rig), "board_poses": {name: (to_world @ pose).tolist() for name, pose in rig.poses.items()}}
 
 
 def _table_report(rig: Rig) -> dict | None:

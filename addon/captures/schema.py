@@ -14,7 +14,8 @@ Frames for `calibrate` show the set's ``board`` (columns and rows count squares,
 at rest, whatever is projected: a white picture and a Gray code, say. A board that is moved by hand has a new name at each
 pose; one that stands on the turntable keeps its name while ``object_to_world`` turns. A frame without is of the object. The
 devices of such a set hold what is known beforehand (or the truth, where rendered): of them `calibrate` uses the sizes only,
-and the first camera's pose, which says where the world is.
+and the first camera's pose, which says where the world is. A light is found from `Pencils`, a laser's plane where its pattern
+crosses the board.
 """
 
 from __future__ import annotations
@@ -75,6 +76,32 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Pencils:
+    """Marks of pencils that stood on the plane where the board lay, and of their shadows: they tell where a light is.
+
+    Parameters
+    ----------
+    light : str
+        Id of the light, a point or spot.
+    camera : str
+        Id of the camera in whose pictures the marks are.
+    board_pose : str
+        Id of the place of the board whose plane it was.
+    height : float
+        Of the pencils.
+    bases, shadow_tips : (n, 2) arrays
+        Pixels: where each stands, and where its tip's shadow ends.
+    """
+
+    light: str
+    camera: str
+    board_pose: str
+    height: float
+    bases: np.ndarray
+    shadow_tips: np.ndarray
+
+
+@dataclass(frozen=True)
 class Capture:
     """A capture set.
 
@@ -99,6 +126,7 @@ class Capture:
         Path inside the set of the true object, in the object frame.
     board : Board, optional
         The calibration board that the frames with a ``board_pose`` show.
+    pencils : Pencils, optional
     missing : tuple of str
         Ids of the frames that are not yet rendered.
     generator : str
@@ -116,6 +144,7 @@ class Capture:
     bounds: np.ndarray | None = None
     truth_mesh: str | None = None
     board: Board | None = None
+    pencils: Pencils | None = None
     missing: tuple[str, ...] = ()
     generator: str = "scanstage"
 
@@ -147,6 +176,8 @@ def capture_to_dict(capture: Capture) -> dict[str, object]:
         "bounds": None if capture.bounds is None else np.asarray(capture.bounds, float).tolist(),
         "truth": None if capture.truth_mesh is None else {"mesh": capture.truth_mesh},
         "board": None if capture.board is None else asdict(capture.board),
+        "pencils": None if capture.pencils is None else {
+            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(capture.pencils).items()},
         "missing": list(capture.missing),
     }
 
@@ -172,7 +203,7 @@ def capture_from_field(document: Field) -> Capture:
     """
     version = document.value.get("version") if isinstance(document.value, dict) else None
     top = document.object(("format", "version", "devices", "frames", "encoding"),
-                          ("generator", "patterns", "silhouette", "plate", "bounds", "truth", "board", "missing")
+                          ("generator", "patterns", "silhouette", "plate", "bounds", "truth", "board", "pencils", "missing")
                           if version in (None, VERSION) else document.value)
     if top["format"].value != FORMAT:
         raise top["format"].error(f"must be {FORMAT!r}; check that this is a capture set")
@@ -194,6 +225,7 @@ def capture_from_field(document: Field) -> Capture:
         bounds=_bounds(top["bounds"]) if top["bounds"].given else None,
         truth_mesh=relative_path(top["truth"].object(("mesh",))["mesh"]) if top["truth"].given else None,
         board=board,
+        pencils=_pencils(top["pencils"], cameras, lights, frames) if top["pencils"].given else None,
         missing=tuple(item.choice(ids, "a frame") for item in top["missing"].items()),
         generator=top["generator"].text() if top["generator"].given else "unknown")
 
@@ -256,6 +288,18 @@ def _board(item: Field) -> Board:
     except ValueError as error:  # its message begins with the field's name
         name, _, problem = str(error).partition(" ")
         raise fields[name].error(f"{problem}; correct the board") from None
+
+
+def _pencils(item: Field, cameras: Mapping, lights: Mapping, frames: tuple[Frame, ...]) -> Pencils:
+    fields = item.object(("light", "camera", "board_pose", "height", "bases", "shadow_tips"))
+    placed = [id for id, light in lights.items() if light.position is not None]
+    poses = {frame.board_pose for frame in frames} - {None}
+    bases, tips = ([place.numbers(2) for place in fields[name].items(1000)] for name in ("bases", "shadow_tips"))
+    if len(bases) != len(tips):
+        raise fields["shadow_tips"].error(f"has {len(tips)} marks and bases {len(bases)}; mark both of each pencil")
+    return Pencils(fields["light"].choice(placed, "a point or spot light of this set"),
+                   fields["camera"].choice(cameras, "a camera of this set"), fields["board_pose"].choice(poses, "a board_pose of a frame"),
+                   fields["height"].number(0.0), np.reshape(bases, (-1, 2)), np.reshape(tips, (-1, 2)))
 
 
 def _frames(item: Field, cameras: Mapping, lights: Mapping, patterns: Mapping, board: Board | None) -> tuple[Frame, ...]:

@@ -30,6 +30,8 @@ DOCUMENT = {
     "encoding": "srgb", "silhouette": {"silhouette": "threshold", "threshold": 0.3}, "plate": {"left": "plates/left.png"},
     "bounds": [[-1, -1, 0], [1, 1, 2]], "truth": {"mesh": "truth.ply"}, "missing": ["0002"],
     "board": {"kind": "charuco", "columns": 10, "rows": 7, "square": 0.03, "marker": 0.022, "dictionary": "4X4_50"},
+    "pencils": {"light": "lamp", "camera": "left", "board_pose": "by hand 1", "height": 0.13, "bases": [[1.0, 2.5], [3.0, 4.0]],
+                "shadow_tips": [[5.0, 2.0], [6.5, 3.0]]},
 }
 
 
@@ -42,7 +44,7 @@ def document() -> dict:
 @pytest.fixture
 def capture_folder(tmp_path, document) -> Path:
     """A whole capture set of two frames: a bright square on black, with a mask, a plate and a truth."""
-    document["missing"], document["frames"][1]["board_pose"] = [], None
+    document["missing"], document["frames"][1]["board_pose"], document["pencils"] = [], None, None
     picture = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
     picture[2:4, 3:6] = 0.8
     for name in ("images/0001.png", "images/0002.png", "given/0002.png"):
