@@ -19,7 +19,7 @@ from mathutils import Matrix
 from ..errors import ScanstageError
 from ..options import Option, Unit, Value
 from ..reconstruction.active.patterns import Pattern, make_patterns
-from ..reconstruction.calibration.board import DICTIONARIES, KINDS, MAX_SQUARES, Board
+from ..reconstruction.calibration.board import DICTIONARIES, KINDS, LEAST_SQUARES, MAX_SQUARES, Board
 from ..reconstruction.geometry import Camera, rotation_about
 from . import devices, projection, rig, scanner
 from .board import add_board, outline
@@ -41,8 +41,8 @@ OPTIONS = (
     Option("board", "charuco", "What is on the board", choices={
         "charuco": "a checkerboard with markers: found also where it is partly hidden",
         "checkerboard": "a plain checkerboard: must be seen whole"}),
-    Option("columns", 10, "Squares along the board", minimum=3, maximum=MAX_SQUARES),
-    Option("rows", 7, "Squares down the board", minimum=3, maximum=MAX_SQUARES),
+    Option("columns", 10, "Squares along the board", minimum=LEAST_SQUARES, maximum=MAX_SQUARES),
+    Option("rows", 7, "Squares down the board", minimum=LEAST_SQUARES, maximum=MAX_SQUARES),
     Option("square", 0.02, "Side of a square", unit=Unit.LENGTH, minimum=1e-6, maximum=1e3),
     Option("poses", 15, "Poses of the board by hand, each under the whole Gray code", minimum=1, maximum=200),
     Option("turns", 12, "Poses of the board on the turning table, evenly round the circle; 0 leaves the table's axis uncalibrated",

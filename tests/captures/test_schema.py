@@ -135,7 +135,7 @@ BAD = {
     "bounds of text": (("bounds", 1, 2), "x", r"bounds\[1\]\[2\]: must be a number"),
     "board of another kind": (("board", "kind"), "circles", "board.kind: 'circles' is not a kind of board"),
     "board without size": (("board", "rows"), DELETE, "board.rows: is missing"),
-    "board too narrow": (("board", "columns"), 2, "board.columns: must be from 3 to 50 squares"),
+    "board too narrow": (("board", "columns"), 3, "board.columns: must be from 4 to 50 squares"),
     "board without markers": (("board", "marker"), DELETE, "board.marker: must be a length less than the square's"),
     "board of unknown markers": (("board", "dictionary"), "3X3_10", "board.dictionary: '3X3_10' is not a dictionary"),
     "board of too few markers": (("board", "rows"), 11, "board.dictionary: 4X4_50 has 50 markers, and the board needs 55"),

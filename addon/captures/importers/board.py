@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import ScanstageError
 from ...options import Option, Unit
-from ...reconstruction.calibration.board import DICTIONARIES, MAX_SQUARES, Board
+from ...reconstruction.calibration.board import DICTIONARIES, LEAST_SQUARES, MAX_SQUARES, Board
 from ...reconstruction.geometry import Camera
 from ..picture_format import SUFFIXES
 from .sources import Import, assemble, checked_size
@@ -19,8 +19,8 @@ from .sources import Import, assemble, checked_size
 BOARD_OPTIONS = (
     Option("board", "checkerboard", "The board's kind", choices={
         "checkerboard": "Black and white squares", "charuco": "Markers in the white squares: may be seen in part"}),
-    Option("columns", 10, "Squares along the board's longer side, one more than its inner corners", minimum=3, maximum=MAX_SQUARES),
-    Option("rows", 7, "Squares along the other side", minimum=3, maximum=MAX_SQUARES),
+    Option("columns", 10, "Squares along one side, one more than the inner corners", minimum=LEAST_SQUARES, maximum=MAX_SQUARES),
+    Option("rows", 7, "Squares along the other side", minimum=LEAST_SQUARES, maximum=MAX_SQUARES),
     Option("square", 0.025, "Side of a square", unit=Unit.LENGTH, minimum=1e-6, maximum=1e6),
     Option("marker", 0.018, "Side of a marker of a ChArUco board", unit=Unit.LENGTH, minimum=1e-6, maximum=1e6),
     Option("dictionary", "5X5_100", "Markers of a ChArUco board", choices=dict.fromkeys(DICTIONARIES, "as OpenCV names them")),

@@ -20,7 +20,7 @@ from ..color import linear_to_srgb
 KINDS = ("charuco", "checkerboard")
 DICTIONARIES: Mapping[str, int] = MappingProxyType({
     f"{bits}X{bits}_{count}": getattr(cv2.aruco, f"DICT_{bits}X{bits}_{count}") for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)})
-MAX_SQUARES = 50  # along one side
+LEAST_SQUARES, MAX_SQUARES = 4, 50  # along one side
 LEAST_CORNERS = 6  # of a partly seen board: fewer hardly bear a pose, let alone tell a wrong one
 _ENOUGH = 1280  # pixels along the longer side, for a checkerboard to be found quickly
 _REFINEMENT = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4
@@ -62,8 +62,8 @@ class Board:
         if self.kind not in KINDS:
             raise ValueError(f"kind must be one of {', '.join(KINDS)}, not {self.kind!r}")
         for name in ("columns", "rows"):
-            if not 3 <= getattr(self, name) <= MAX_SQUARES:
-                raise ValueError(f"{name} must be from 3 to {MAX_SQUARES} squares, not {getattr(self, name)}")
+            if not LEAST_SQUARES <= getattr(self, name) <= MAX_SQUARES:
+                raise ValueError(f"{name} must be from {LEAST_SQUARES} to {MAX_SQUARES} squares, not {getattr(self, name)}")
         if not 0 < self.square < np.inf:
             raise ValueError(f"square must be a positive length, not {self.square}")
         if self.kind == "checkerboard":
@@ -100,10 +100,18 @@ class Board:
         -------
         (height, width) uint8 array
             Black squares are 0. Inner corner 0 lies where four pixels meet, ``margin + 1`` squares from the outer edges.
+
+        Raises
+        ------
+        ValueError
+            A marker's cells would be smaller than a pixel.
         """
         if self.kind == "charuco":
             size = self.columns * pixels_per_square, self.rows * pixels_per_square
-            squares = self._charuco().generateImage(size, marginSize=0)
+            try:
+                squares = self._charuco().generateImage(size, marginSize=0)
+            except cv2.error:
+                raise ValueError(f"pixels_per_square must be more than {pixels_per_square} to show the markers") from None
         else:
             row, column = np.mgrid[:self.rows * pixels_per_square, :self.columns * pixels_per_square] // pixels_per_square
             squares = np.where((row + column) % 2, np.uint8(255), np.uint8(0))
@@ -182,7 +190,7 @@ def spacing(pixels: np.ndarray) -> np.ndarray:
 
 def _refined(grey: np.ndarray, pixels: np.ndarray, window: float) -> np.ndarray:
     """Return the (n, 2) corners moved to the saddle points of the picture, each seen through 2 * ``window`` squares."""
-    half = int(np.clip(window * np.median(spacing(pixels)), *_WINDOWS))
+    half = min(int(np.clip(window * np.median(spacing(pixels)), *_WINDOWS)), (min(grey.shape) - 5) // 2)  # as OpenCV demands
     moved = cv2.cornerSubPix(grey, pixels.astype(np.float32).reshape(-1, 1, 2), (half, half), (-1, -1), _REFINEMENT)[:, 0]
     return moved.astype(np.float64)
 

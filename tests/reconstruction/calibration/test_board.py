@@ -73,9 +73,19 @@ def test_the_drawing_has_a_black_square_in_its_top_left_and_corner_0_between_fou
         np.testing.assert_array_equal(block[:2, 2:], 255)
 
 
+def test_a_drawing_too_small_for_its_markers_is_refused():
+    with pytest.raises(ValueError, match="^pixels_per_square must be more than 8 to show the markers"):
+        BOARDS["charuco"].draw(8)  # 7 cells in 5.9 pixels
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (8, 6), (3, 40), (500, 4)])
+def test_pictures_of_any_size_are_searched(shape):
+    assert all(board.find(np.random.default_rng(0).random((*shape, 3))) is None for board in BOARDS.values())
+
+
 def test_corners_go_row_by_row_from_the_first_inner_one():
-    corners = Board("checkerboard", 4, 3, 2.0).corners
-    np.testing.assert_array_equal(corners, [[0, 0, 0], [2, 0, 0], [4, 0, 0], [0, 2, 0], [2, 2, 0], [4, 2, 0]])
+    corners = Board("checkerboard", 4, 4, 2.0).corners
+    np.testing.assert_array_equal(corners, [[2 * column, 2 * row, 0] for row in range(3) for column in range(3)])
 
 
 @pytest.mark.parametrize(("columns", "rows", "symmetric"), [(10, 7, False), (8, 6, True), (9, 7, True)])
@@ -87,8 +97,8 @@ def test_half_a_turn_keeps_a_checkerboard_with_an_even_sum(columns, rows, symmet
 
 
 @pytest.mark.parametrize(("arguments", "message"), [
-    (("circles", 10, 7, 1.0), "^kind must be one of"), (("checkerboard", 2, 7, 1.0), "^columns must be from 3"),
-    (("checkerboard", 10, 51, 1.0), "^rows must be from 3 to 50"), (("checkerboard", 10, 7, 0.0), "^square must be a positive"),
+    (("circles", 10, 7, 1.0), "^kind must be one of"), (("checkerboard", 3, 7, 1.0), "^columns must be from 4 to 50"),
+    (("checkerboard", 10, 51, 1.0), "^rows must be from 4 to 50"), (("checkerboard", 10, 7, 0.0), "^square must be a positive"),
     (("charuco", 10, 7, 1.0, 1.0), "^marker must be a length less"), (("charuco", 10, 7, 1.0, 0.5, "9X9_1"), "^dictionary must be one of"),
     (("charuco", 20, 11, 1.0, 0.5, "5X5_100"), "^dictionary 5X5_100 has 100 markers, and the board needs 110"),
 ])
