@@ -25,14 +25,13 @@ import numpy as np
 from .. import compat
 from ..errors import ScanstageError
 from ..reconstruction.geometry import Camera
-from . import nodes, ownership
+from . import devices, nodes, ownership
 from .nodes import Field, Scalar
 
 LENS = "Scanstage Lens"
 IMAGE = "Scanstage Image"
 PATTERN = "Scanstage Pattern"
 PATTERNS = "scanstage_patterns"  # a property of the light, in which `projection` keeps what its patterns are
-FRUSTUM = "frustum"
 OFF = -1.0  # what the Value node `PATTERN` says while the projector is dark
 FULL_POWER = 4 * math.pi ** 2  # watts at which a white surface that faces a white pixel has radiance 1, at every distance
 _FIELDS = (
@@ -44,8 +43,6 @@ _FIELDS = (
     Field("Height", "Resolution down", 768, 1, 65536, kind="Int"),
     *(Field(name, f"Lens distortion: OpenCV's {name.lower()}", 0.0, -100.0, 100.0) for name in ("K1", "K2", "P1", "P2", "K3")),
 )
-_DRAWN = "scanstage_drawn"  # a property of a frustum's mesh: what it shows
-_FRUSTUM_LENGTH = 0.25
 _EDGE_STEPS = 16  # of a frustum's drawing: its edges are bent where the lens distorts
 
 
@@ -66,8 +63,7 @@ def add_projector(stage: bpy.types.Collection, number: int, *, throw_ratio: floa
     light = bpy.data.lights.new(f"Scanstage Projector {number}", "POINT")
     made = ownership.add(stage, light.name, light, "projector", device=f"projector-{number}")
     make_projector(light, throw_ratio=throw_ratio, size=size)
-    frustum = ownership.add(stage, f"{light.name} Frustum", bpy.data.meshes.new(f"{light.name} Frustum"), FRUSTUM)
-    frustum.parent, frustum.hide_render, frustum.hide_select = made, True, True
+    devices.add_outline(stage, made, "Frustum")
     update_frustum(made)
     return made
 
@@ -171,18 +167,9 @@ def update_frustum(owner: bpy.types.Object, distance: float | None = None) -> No
     distance : float, optional
         How far the frustum reaches; by default as far as it did, or 0.25 m.
     """
-    frustum = next((child for child in owner.children if ownership.role_of(child) == FRUSTUM), None)
-    if frustum is None:
-        return
-    mesh, optics, drawn = frustum.data, optics_of(owner.data), frustum.data.get(_DRAWN)
-    distance = distance or (drawn[0] if drawn else _FRUSTUM_LENGTH)
-    wanted = [float(value) for value in (distance, *optics.size, *optics.K.ravel(), *optics.distortion)]
-    if drawn is not None and list(drawn) == wanted:
-        return
-    mesh.clear_geometry()
-    mesh.from_pydata(*_frustum(optics, distance), [])
-    mesh.update()
-    mesh[_DRAWN] = wanted
+    optics = optics_of(owner.data)
+    values = (*optics.size, *optics.K.ravel(), *optics.distortion)
+    devices.draw_outline(owner, values, distance, lambda reach: _frustum(optics, reach))
 
 
 def _frustum(optics: Camera, distance: float) -> tuple[list[list[float]], list[tuple[int, int]]]:

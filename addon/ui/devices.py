@@ -13,7 +13,7 @@ from ..reconstruction.active.patterns import PATTERN_SETS, make_patterns
 from ..stage import laser, nodes, ownership, projection, projector
 
 _LASER_WIDTH = 0.002
-_SECTIONS = {projector.LENS: "Projector", laser.LASER: "Laser Line"}
+_OPTICS = projector.LENS, laser.LASER
 
 
 class _Add(bpy.types.Operator):
@@ -118,22 +118,18 @@ class SCANSTAGE_OT_project_image(_Project, ImportHelper):
 class _Optics:
     """The panel of a projector or laser: the inputs of the node that is its optics, and the light's own power and colour."""
 
-    bl_label = "Projector"
+    bl_label = "Optics"
     bl_region_type = 'UI'
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.object is not None and any(nodes.named_node(context.object.data, name) for name in _SECTIONS)
-
-    def draw_header(self, context: bpy.types.Context) -> None:
-        if laser.is_laser(context.object):
-            self.layout.label(text="Laser")
+        return context.object is not None and any(nodes.named_node(context.object.data, name) for name in _OPTICS)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, light = self.layout, context.object.data
         layout.use_property_split = True
         column = layout.column()
-        for socket in next(node for name in _SECTIONS if (node := nodes.named_node(light, name))).inputs:
+        for socket in next(node for name in _OPTICS if (node := nodes.named_node(light, name))).inputs:
             column.prop(socket, "default_value", text=socket.name)
         layout.prop(light, "energy", text="Power")
         layout.prop(light, "color")
@@ -152,7 +148,7 @@ class SCANSTAGE_PT_optics(_Optics, bpy.types.Panel):
     """The projector or laser that is selected"""
 
     bl_space_type = 'VIEW_3D'
-    bl_category = "Scanstage"
+    bl_category = "Item"  # the work's own tab has its panels in the order of the work
 
 
 class SCANSTAGE_PT_optics_properties(_Optics, bpy.types.Panel):
@@ -165,7 +161,7 @@ class SCANSTAGE_PT_optics_properties(_Optics, bpy.types.Panel):
 
 @bpy.app.handlers.persistent
 def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Redraw the frusta of projectors whose optics have changed."""
+    """Redraw the frusta of projectors and the fans of lasers whose optics have changed."""
     if bpy.app.is_job_running('RENDER'):
         return
     changed = {update.id.original for update in depsgraph.updates if isinstance(update.id, bpy.types.Light)}
@@ -173,6 +169,8 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         for candidate in scene.objects:
             if candidate.data in changed and projector.is_projector(candidate):
                 projector.update_frustum(candidate)
+            elif candidate.data in changed and laser.is_laser(candidate):
+                laser.update_fan(candidate)
 
 
 def _draw_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
