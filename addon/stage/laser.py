@@ -46,7 +46,7 @@ def add_laser(stage: bpy.types.Collection, number: int, *, width: float, fan: fl
         Angle of the fan of rays, in radians.
     """
     light = bpy.data.lights.new(f"Scanstage Laser {number}", "POINT")
-    light.shadow_soft_size, light.energy, light.color = 0.0, 4 * math.pi ** 2, COLOR  # its peak saturates no surface that is not white
+    light.shadow_soft_size, light.energy, light.color = 0.0, 4 * math.pi ** 2, COLOR  # at its peak a white surface is as bright as white
     made = ownership.add(stage, light.name, light, "laser", device=f"laser-{number}")
     tree = compat.node_tree(light)
     tree.nodes.clear()

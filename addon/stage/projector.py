@@ -25,6 +25,7 @@ import numpy as np
 from .. import compat
 from ..errors import ScanstageError
 from ..reconstruction.geometry import Camera
+from ..reconstruction.undistortion import MAX_GROWTH
 from . import devices, nodes, ownership
 from .nodes import Field, Scalar
 
@@ -118,15 +119,26 @@ def optics_of(light: bpy.types.Light) -> Camera:
     return Camera(K, np.eye(3), np.zeros(3), (width, height), [value[name] for name in ("K1", "K2", "P1", "P2", "K3")])
 
 
-def set_image(light: bpy.types.Light, image: bpy.types.Image | None) -> None:
+def set_image(light: bpy.types.Light, image: bpy.types.Image | None, *, frames: int = 1, first: int = 1, start: int = 1) -> None:
     """Project a still, a sequence or a movie, stretched over the whole picture; None is white.
 
-    A sequence's frames are set in the Image Texture node, as everywhere in Blender.
+    Parameters
+    ----------
+    light : bpy.types.Light
+    image : bpy.types.Image or None
+    frames, first : int
+        Of a sequence: how many pictures, and the number of the first.
+    start : int
+        Frame of the timeline at which a sequence or movie begins.
     """
     clear(light)
     tree = light.node_tree
     column, row, _ = (Scalar(tree, socket) for socket in lens_of(light).outputs)
     texture = None if image is None else image_node(tree, image, nodes.combined(tree, column, 1.0 - row))
+    if texture is not None:
+        user = texture.image_user
+        user.frame_start, user.frame_offset = start, first - 1 if image.source == "SEQUENCE" else 0
+        user.frame_duration = image.frame_duration if image.source == "MOVIE" else frames
     finish(tree, texture, nodes.named_value(tree, PATTERN, 0.0))
 
 
@@ -136,8 +148,6 @@ def image_node(tree: bpy.types.NodeTree, image: bpy.types.Image, place: bpy.type
     node.name = node.label = IMAGE
     node.image, node.interpolation, node.extension = image, "Closest", "EXTEND"
     node.image_user.use_auto_refresh = True
-    if image.source in {"SEQUENCE", "MOVIE"}:
-        node.image_user.frame_duration = max(image.frame_duration, 1)
     tree.links.new(place, node.inputs["Vector"])
     return node
 
@@ -208,9 +218,11 @@ def _formulas(group: bpy.types.NodeTree, given: Mapping[str, Scalar]) -> tuple[S
     throw, aspect = given["Throw Ratio"], given["Width"] / given["Height"]
     column = throw * bent_x + (0.5 - given["Shift X"])
     row = aspect * (throw * given["Pixel Aspect"] * bent_y + given["Shift Y"]) + 0.5
-    # Beyond this radius the polynomial turns back, and would show the picture a second time.
+    # Beyond some radius the polynomial turns back and would show the picture a second time; and further out, perhaps, a third.
     slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * (7.0 * k3)))
-    inside = (backward < 0.0) * (slope > 0.0)
+    across, down = 0.5 + abs(given["Shift X"]), (0.5 / aspect + abs(given["Shift Y"])) / given["Pixel Aspect"]
+    corner = (across * across + down * down) / (throw * throw)  # squared radius of the farthest one, where the lens is straight
+    inside = (backward < 0.0) * (slope > 0.0) * (r2 < corner * MAX_GROWTH ** 2)
     for share in (column, row):
         inside = inside * (share > 0.0) * (share < 1.0)
     return column, row, inside

@@ -4,6 +4,10 @@
 
 from __future__ import annotations
 
+import itertools
+import re
+from pathlib import Path
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty
 from bpy_extras.io_utils import ImportHelper
@@ -109,10 +113,22 @@ class SCANSTAGE_OT_project_image(_Project, ImportHelper):
         except RuntimeError as error:
             self.report({'ERROR'}, f"{self.filepath}: cannot be read ({str(error).strip()}); choose an image or a movie")
             return {'CANCELLED'}
+        first, frames = _numbered(Path(bpy.path.abspath(self.filepath))) if self.sequence else (1, 1)
         if self.sequence:
             image.source = 'SEQUENCE'
-        projector.set_image(context.object.data, image)
+        projector.set_image(context.object.data, image, frames=frames, first=first, start=context.scene.frame_start)
         return {'FINISHED'}
+
+
+def _numbered(path: Path) -> tuple[int, int]:
+    """Return the number that a picture's name ends with, and how many numbers follow each other from there on."""
+    digits = re.search(r"\d*$", path.stem).group()
+    if not digits:
+        return 1, 1
+    name, first = path.stem.removesuffix(digits), int(digits)
+    following = itertools.takewhile(lambda number: path.with_name(f"{name}{number:0{len(digits)}d}{path.suffix}").is_file(),
+                                    itertools.count(first))
+    return first, max(sum(1 for _ in following), 1)
 
 
 class _Optics:

@@ -102,6 +102,11 @@ def test_patterns_and_images(scene, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.full((4, 4, 3), 255, np.uint8))
     assert bpy.ops.scanstage.project_image(filepath=str(tmp_path / "a.png")) == {'FINISHED'}
     assert projection.pattern_of(made.data, 5) == ("image", {"kind": "image", "image": "a.png"})
+    for number in (7, 8, 9, 11):
+        cv2.imwrite(str(tmp_path / f"s{number:03d}.png"), np.full((4, 4, 3), 255, np.uint8))
+    assert bpy.ops.scanstage.project_image(filepath=str(tmp_path / "s007.png"), sequence=True) == {'FINISHED'}
+    shown = [projection.pattern_of(made.data, frame)[1]["frame"] for frame in range(5, 10)]
+    assert shown == [7, 8, 9, 9, 9]  # the timeline begins at 5; number 10 is missing
 
 
 def test_bad_input_is_reported(scene, tmp_path):
