@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import bpy
 
@@ -21,6 +21,9 @@ from .materials import Color, matte, screen
 
 BACKDROP_COLORS: dict[str, Color] = {"blue": (0.02, 0.10, 0.80), "black": (0.0, 0.0, 0.0)}
 _PLATTER_COLOR = (0.18, 0.19, 0.21)
+_OUTLINE = "outline"
+_OUTLINE_LENGTH = 0.25
+_DRAWN = "scanstage_drawn"  # a property of an outline's mesh: what it shows
 _OVERLAP = 1.1  # a backdrop reaches this much beyond the picture's edges
 
 
@@ -140,3 +143,37 @@ def _backdrop_material(owner: bpy.types.Object, backdrop: str) -> bpy.types.Mate
     owner.visible_diffuse = owner.visible_glossy = owner.visible_transmission = owner.visible_shadow = False
     owner.hide_select = owner.data.name.startswith("Scanstage Backdrop")
     return screen(f"Scanstage {backdrop.title()} Backdrop", BACKDROP_COLORS[backdrop])
+
+
+def add_outline(stage: bpy.types.Collection, owner: bpy.types.Object, kind: str) -> bpy.types.Object:
+    """Add the object that draws what a projector or laser lights, for the viewport only: see `draw_outline`."""
+    drawn = ownership.add(stage, f"{owner.name} {kind}", bpy.data.meshes.new(f"{owner.name} {kind}"), _OUTLINE)
+    drawn.parent, drawn.hide_render, drawn.hide_select = owner, True, True
+    return drawn
+
+
+def draw_outline(owner: bpy.types.Object, optics: Sequence[float], distance: float | None,
+                 lines: Callable[[float], tuple[Sequence, Sequence]]) -> None:
+    """Redraw a device's outline, if it has one and if it is drawn otherwise.
+
+    Parameters
+    ----------
+    owner : bpy.types.Object
+    optics : sequence of float
+        All that the lines depend on, besides the distance.
+    distance : float or None
+        How far the outline reaches; None is as far as it did.
+    lines : callable
+        ``lines(distance)`` returns vertices, in the owner's axes, and edges.
+    """
+    drawn = next((child for child in owner.children if ownership.role_of(child) == _OUTLINE), None)
+    if drawn is None:
+        return
+    known = drawn.data.get(_DRAWN)
+    distance = distance or (known[0] if known else _OUTLINE_LENGTH)
+    wanted = [float(value) for value in (distance, *optics)]
+    if known is None or list(known) != wanted:
+        drawn.data.clear_geometry()
+        drawn.data.from_pydata(*lines(distance), [])
+        drawn.data.update()
+        drawn.data[_DRAWN] = wanted

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 
 from .. import compat
-from . import nodes, ownership
+from . import devices, nodes, ownership
 from .nodes import Field, Scalar
 from .timeline import SWITCH, keyframe_steps, keyframe_value
 
@@ -46,7 +46,7 @@ def add_laser(stage: bpy.types.Collection, number: int, *, width: float, fan: fl
         Angle of the fan of rays, in radians.
     """
     light = bpy.data.lights.new(f"Scanstage Laser {number}", "POINT")
-    light.shadow_soft_size, light.energy, light.color = 0.0, 4 * math.pi ** 2, COLOR  # its peak saturates no surface that is not white
+    light.shadow_soft_size, light.energy, light.color = 0.0, 4 * math.pi ** 2, COLOR  # at its peak a white surface is as bright as white
     made = ownership.add(stage, light.name, light, "laser", device=f"laser-{number}")
     tree = compat.node_tree(light)
     tree.nodes.clear()
@@ -55,7 +55,21 @@ def add_laser(stage: bpy.types.Collection, number: int, *, width: float, fan: fl
     strength = nodes.named_value(tree, SWITCH, 1.0) * (Scalar(tree, optics.outputs["Light"]) * nodes.constant_falloff(tree))
     nodes.finish_light(tree, None, strength)
     nodes.arrange(tree)
+    fan = devices.add_outline(stage, made, "Fan")
+    turn = fan.driver_add("rotation_euler", 1).driver  # the viewport's fan turns with the sheet, whoever turns that
+    turn.type, turn.expression = "SCRIPTED", "-angle"
+    angle = turn.variables.new()
+    angle.name = "angle"
+    angle.targets[0].id_type, angle.targets[0].id, angle.targets[0].data_path = "LIGHT", light, _angle_path(light)
+    update_fan(made)
     return made
+
+
+def update_fan(owner: bpy.types.Object, distance: float | None = None) -> None:
+    """Draw a laser's sheet as a triangle that reaches ``distance`` far, unless it is drawn so already."""
+    half = owner.data.node_tree.nodes[LASER].inputs["Fan"].default_value / 2
+    devices.draw_outline(owner, [half], distance, lambda reach: (
+        [(0.0, 0.0, 0.0), *((0.0, side * reach * math.sin(half), -reach * math.cos(half)) for side in (-1, 1))], [(0, 1), (1, 2), (2, 0)]))
 
 
 def is_laser(candidate: bpy.types.Object) -> bool:
@@ -66,9 +80,8 @@ def is_laser(candidate: bpy.types.Object) -> bool:
 def sweep(light: bpy.types.Light, angles: Sequence[float], on: Sequence[bool], *, start: int = 1) -> None:
     """Turn a laser's sheet to one angle a frame, in radians, and switch it."""
     tree = light.node_tree
-    index = tree.nodes[LASER].inputs.find("Angle")
-    tree.nodes[LASER].inputs[index].default_value = angles[0]
-    keyframe_steps(tree, f'nodes["{LASER}"].inputs[{index}].default_value', angles, start=start)
+    tree.nodes[LASER].inputs["Angle"].default_value = angles[0]
+    keyframe_steps(tree, _angle_path(light).removeprefix("node_tree."), angles, start=start)
     keyframe_value(tree, SWITCH, [float(state) for state in on], start=start)
 
 
@@ -85,6 +98,11 @@ def laser_fields(laser: bpy.types.Object) -> Mapping[str, object]:
     """Return what a capture set says of a laser's sheet at the present frame: see above."""
     normal, offset = plane_of(laser)
     return {"kind": "laser", "plane": [*normal.tolist(), offset], "width": laser.data.node_tree.nodes[LASER].inputs["Width"].default_value}
+
+
+def _angle_path(light: bpy.types.Light) -> str:
+    index = light.node_tree.nodes[LASER].inputs.find("Angle")
+    return f'node_tree.nodes["{LASER}"].inputs[{index}].default_value'
 
 
 def _formulas(group: bpy.types.NodeTree, given: Mapping[str, Scalar]) -> tuple[Scalar]:

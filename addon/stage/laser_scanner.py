@@ -44,6 +44,7 @@ def build(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject,
     span = 2 * math.asin(reach / bench.distance)
     made = laser.add_laser(stage, 1, width=width, fan=min(_FAN * span, math.radians(170)))
     devices.point(made, bench.target + rig.offset_of(bench.distance, options["elevation"], options["angle"]), bench.target)
+    laser.update_fan(made, bench.distance)
     shown = scanner.plan_bench(bench, options["views"], lines)
     share = (np.arange(lines) + 0.5) / lines - 0.5
     laser.sweep(made.data, _held([0.0] * lines if options["sweep"] == "translation" else (share * span).tolist(), shown),

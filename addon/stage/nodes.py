@@ -49,8 +49,14 @@ class Scalar:
     def __truediv__(self, other: Scalar | float) -> Scalar:
         return self._math("DIVIDE", self, other)
 
+    def __rtruediv__(self, other: float) -> Scalar:
+        return self._math("DIVIDE", other, self)
+
     def __neg__(self) -> Scalar:
         return self * -1.0
+
+    def __abs__(self) -> Scalar:
+        return self._math("ABSOLUTE", self)
 
     def __lt__(self, other: Scalar | float) -> Scalar:
         return self._math("LESS_THAN", self, other)

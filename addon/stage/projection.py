@@ -24,7 +24,7 @@ from . import nodes, ownership, projector
 from .nodes import Scalar
 from .timeline import keyframe_value
 
-_MOST_PIXELS = 1 << 27  # of an image of patterns: 2 GB as Blender holds it
+_MOST_PIXELS = 1 << 26  # of an image of patterns: 1 GB as Blender holds it
 
 
 @dataclass(frozen=True)

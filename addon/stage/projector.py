@@ -25,14 +25,14 @@ import numpy as np
 from .. import compat
 from ..errors import ScanstageError
 from ..reconstruction.geometry import Camera
-from . import nodes, ownership
+from ..reconstruction.undistortion import MAX_GROWTH
+from . import devices, nodes, ownership
 from .nodes import Field, Scalar
 
 LENS = "Scanstage Lens"
 IMAGE = "Scanstage Image"
 PATTERN = "Scanstage Pattern"
 PATTERNS = "scanstage_patterns"  # a property of the light, in which `projection` keeps what its patterns are
-FRUSTUM = "frustum"
 OFF = -1.0  # what the Value node `PATTERN` says while the projector is dark
 FULL_POWER = 4 * math.pi ** 2  # watts at which a white surface that faces a white pixel has radiance 1, at every distance
 _FIELDS = (
@@ -44,8 +44,6 @@ _FIELDS = (
     Field("Height", "Resolution down", 768, 1, 65536, kind="Int"),
     *(Field(name, f"Lens distortion: OpenCV's {name.lower()}", 0.0, -100.0, 100.0) for name in ("K1", "K2", "P1", "P2", "K3")),
 )
-_DRAWN = "scanstage_drawn"  # a property of a frustum's mesh: what it shows
-_FRUSTUM_LENGTH = 0.25
 _EDGE_STEPS = 16  # of a frustum's drawing: its edges are bent where the lens distorts
 
 
@@ -66,8 +64,7 @@ def add_projector(stage: bpy.types.Collection, number: int, *, throw_ratio: floa
     light = bpy.data.lights.new(f"Scanstage Projector {number}", "POINT")
     made = ownership.add(stage, light.name, light, "projector", device=f"projector-{number}")
     make_projector(light, throw_ratio=throw_ratio, size=size)
-    frustum = ownership.add(stage, f"{light.name} Frustum", bpy.data.meshes.new(f"{light.name} Frustum"), FRUSTUM)
-    frustum.parent, frustum.hide_render, frustum.hide_select = made, True, True
+    devices.add_outline(stage, made, "Frustum")
     update_frustum(made)
     return made
 
@@ -122,15 +119,26 @@ def optics_of(light: bpy.types.Light) -> Camera:
     return Camera(K, np.eye(3), np.zeros(3), (width, height), [value[name] for name in ("K1", "K2", "P1", "P2", "K3")])
 
 
-def set_image(light: bpy.types.Light, image: bpy.types.Image | None) -> None:
+def set_image(light: bpy.types.Light, image: bpy.types.Image | None, *, frames: int = 1, first: int = 1, start: int = 1) -> None:
     """Project a still, a sequence or a movie, stretched over the whole picture; None is white.
 
-    A sequence's frames are set in the Image Texture node, as everywhere in Blender.
+    Parameters
+    ----------
+    light : bpy.types.Light
+    image : bpy.types.Image or None
+    frames, first : int
+        Of a sequence: how many pictures, and the number of the first.
+    start : int
+        Frame of the timeline at which a sequence or movie begins.
     """
     clear(light)
     tree = light.node_tree
     column, row, _ = (Scalar(tree, socket) for socket in lens_of(light).outputs)
     texture = None if image is None else image_node(tree, image, nodes.combined(tree, column, 1.0 - row))
+    if texture is not None:
+        user = texture.image_user
+        user.frame_start, user.frame_offset = start, first - 1 if image.source == "SEQUENCE" else 0
+        user.frame_duration = image.frame_duration if image.source == "MOVIE" else frames
     finish(tree, texture, nodes.named_value(tree, PATTERN, 0.0))
 
 
@@ -140,8 +148,6 @@ def image_node(tree: bpy.types.NodeTree, image: bpy.types.Image, place: bpy.type
     node.name = node.label = IMAGE
     node.image, node.interpolation, node.extension = image, "Closest", "EXTEND"
     node.image_user.use_auto_refresh = True
-    if image.source in {"SEQUENCE", "MOVIE"}:
-        node.image_user.frame_duration = max(image.frame_duration, 1)
     tree.links.new(place, node.inputs["Vector"])
     return node
 
@@ -171,18 +177,9 @@ def update_frustum(owner: bpy.types.Object, distance: float | None = None) -> No
     distance : float, optional
         How far the frustum reaches; by default as far as it did, or 0.25 m.
     """
-    frustum = next((child for child in owner.children if ownership.role_of(child) == FRUSTUM), None)
-    if frustum is None:
-        return
-    mesh, optics, drawn = frustum.data, optics_of(owner.data), frustum.data.get(_DRAWN)
-    distance = distance or (drawn[0] if drawn else _FRUSTUM_LENGTH)
-    wanted = [float(value) for value in (distance, *optics.size, *optics.K.ravel(), *optics.distortion)]
-    if drawn is not None and list(drawn) == wanted:
-        return
-    mesh.clear_geometry()
-    mesh.from_pydata(*_frustum(optics, distance), [])
-    mesh.update()
-    mesh[_DRAWN] = wanted
+    optics = optics_of(owner.data)
+    values = (*optics.size, *optics.K.ravel(), *optics.distortion)
+    devices.draw_outline(owner, values, distance, lambda reach: _frustum(optics, reach))
 
 
 def _frustum(optics: Camera, distance: float) -> tuple[list[list[float]], list[tuple[int, int]]]:
@@ -221,9 +218,11 @@ def _formulas(group: bpy.types.NodeTree, given: Mapping[str, Scalar]) -> tuple[S
     throw, aspect = given["Throw Ratio"], given["Width"] / given["Height"]
     column = throw * bent_x + (0.5 - given["Shift X"])
     row = aspect * (throw * given["Pixel Aspect"] * bent_y + given["Shift Y"]) + 0.5
-    # Beyond this radius the polynomial turns back, and would show the picture a second time.
+    # Beyond some radius the polynomial turns back and would show the picture a second time; and further out, perhaps, a third.
     slope = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * (7.0 * k3)))
-    inside = (backward < 0.0) * (slope > 0.0)
+    across, down = 0.5 + abs(given["Shift X"]), (0.5 / aspect + abs(given["Shift Y"])) / given["Pixel Aspect"]
+    corner = (across * across + down * down) / (throw * throw)  # squared radius of the farthest one, where the lens is straight
+    inside = (backward < 0.0) * (slope > 0.0) * (r2 < corner * MAX_GROWTH ** 2)
     for share in (column, row):
         inside = inside * (share > 0.0) * (share < 1.0)
     return column, row, inside

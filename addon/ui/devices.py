@@ -4,6 +4,10 @@
 
 from __future__ import annotations
 
+import itertools
+import re
+from pathlib import Path
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty
 from bpy_extras.io_utils import ImportHelper
@@ -13,7 +17,7 @@ from ..reconstruction.active.patterns import PATTERN_SETS, make_patterns
 from ..stage import laser, nodes, ownership, projection, projector
 
 _LASER_WIDTH = 0.002
-_SECTIONS = {projector.LENS: "Projector", laser.LASER: "Laser Line"}
+_OPTICS = projector.LENS, laser.LASER
 
 
 class _Add(bpy.types.Operator):
@@ -109,31 +113,39 @@ class SCANSTAGE_OT_project_image(_Project, ImportHelper):
         except RuntimeError as error:
             self.report({'ERROR'}, f"{self.filepath}: cannot be read ({str(error).strip()}); choose an image or a movie")
             return {'CANCELLED'}
+        first, frames = _numbered(Path(bpy.path.abspath(self.filepath))) if self.sequence else (1, 1)
         if self.sequence:
             image.source = 'SEQUENCE'
-        projector.set_image(context.object.data, image)
+        projector.set_image(context.object.data, image, frames=frames, first=first, start=context.scene.frame_start)
         return {'FINISHED'}
+
+
+def _numbered(path: Path) -> tuple[int, int]:
+    """Return the number that a picture's name ends with, and how many numbers follow each other from there on."""
+    digits = re.search(r"\d*$", path.stem).group()
+    if not digits:
+        return 1, 1
+    name, first = path.stem.removesuffix(digits), int(digits)
+    following = itertools.takewhile(lambda number: path.with_name(f"{name}{number:0{len(digits)}d}{path.suffix}").is_file(),
+                                    itertools.count(first))
+    return first, max(sum(1 for _ in following), 1)
 
 
 class _Optics:
     """The panel of a projector or laser: the inputs of the node that is its optics, and the light's own power and colour."""
 
-    bl_label = "Projector"
+    bl_label = "Optics"
     bl_region_type = 'UI'
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return context.object is not None and any(nodes.named_node(context.object.data, name) for name in _SECTIONS)
-
-    def draw_header(self, context: bpy.types.Context) -> None:
-        if laser.is_laser(context.object):
-            self.layout.label(text="Laser")
+        return context.object is not None and any(nodes.named_node(context.object.data, name) for name in _OPTICS)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, light = self.layout, context.object.data
         layout.use_property_split = True
         column = layout.column()
-        for socket in next(node for name in _SECTIONS if (node := nodes.named_node(light, name))).inputs:
+        for socket in next(node for name in _OPTICS if (node := nodes.named_node(light, name))).inputs:
             column.prop(socket, "default_value", text=socket.name)
         layout.prop(light, "energy", text="Power")
         layout.prop(light, "color")
@@ -152,7 +164,7 @@ class SCANSTAGE_PT_optics(_Optics, bpy.types.Panel):
     """The projector or laser that is selected"""
 
     bl_space_type = 'VIEW_3D'
-    bl_category = "Scanstage"
+    bl_category = "Item"  # the work's own tab has its panels in the order of the work
 
 
 class SCANSTAGE_PT_optics_properties(_Optics, bpy.types.Panel):
@@ -165,7 +177,7 @@ class SCANSTAGE_PT_optics_properties(_Optics, bpy.types.Panel):
 
 @bpy.app.handlers.persistent
 def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Redraw the frusta of projectors whose optics have changed."""
+    """Redraw the frusta of projectors and the fans of lasers whose optics have changed."""
     if bpy.app.is_job_running('RENDER'):
         return
     changed = {update.id.original for update in depsgraph.updates if isinstance(update.id, bpy.types.Light)}
@@ -173,6 +185,8 @@ def _follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         for candidate in scene.objects:
             if candidate.data in changed and projector.is_projector(candidate):
                 projector.update_frustum(candidate)
+            elif candidate.data in changed and laser.is_laser(candidate):
+                laser.update_fan(candidate)
 
 
 def _draw_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

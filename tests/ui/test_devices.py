@@ -72,6 +72,21 @@ def test_a_frustum_of_a_lens_that_folds_is_still_drawn(scene):
     assert np.isfinite(rim).all() and np.abs(rim).max() < 1
 
 
+def test_a_lasers_fan_turns_with_its_sheet(scene):
+    bpy.ops.scanstage.add_laser()
+    made = bpy.context.object
+    laser.sweep(made.data, [-0.4, 0.3], [True, True])
+    for frame in (1, 2):
+        scene.frame_set(frame)
+        child, fan = frustum_of(made)
+        world = np.array(child.matrix_world)
+        normal, offset = laser.plane_of(made)
+        corners = fan @ world[:3, :3].T + world[:3, 3]
+        assert child.hide_render and np.ptp(corners, axis=0).max() > 0.1
+        np.testing.assert_allclose(corners @ normal, offset, atol=1e-6)
+        assert (corners.sum(axis=0)[0] > 0) == (frame == 2)  # positive is to the right
+
+
 def test_patterns_and_images(scene, tmp_path):
     bpy.ops.scanstage.add_projector()
     made = bpy.context.object
@@ -87,6 +102,11 @@ def test_patterns_and_images(scene, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.full((4, 4, 3), 255, np.uint8))
     assert bpy.ops.scanstage.project_image(filepath=str(tmp_path / "a.png")) == {'FINISHED'}
     assert projection.pattern_of(made.data, 5) == ("image", {"kind": "image", "image": "a.png"})
+    for number in (7, 8, 9, 11):
+        cv2.imwrite(str(tmp_path / f"s{number:03d}.png"), np.full((4, 4, 3), 255, np.uint8))
+    assert bpy.ops.scanstage.project_image(filepath=str(tmp_path / "s007.png"), sequence=True) == {'FINISHED'}
+    shown = [projection.pattern_of(made.data, frame)[1]["frame"] for frame in range(5, 10)]
+    assert shown == [7, 8, 9, 9, 9]  # the timeline begins at 5; number 10 is missing
 
 
 def test_bad_input_is_reported(scene, tmp_path):
