@@ -130,4 +130,7 @@ def test_sweeps_that_cannot_be_are_refused_by_frame(camera, projector):
     bad = dataclasses.replace(shots[0], pattern={**shots[0].pattern, "position": "left"})
     refused(with_pictures(stripes, [bad, *shots[1:]]), "its pattern's position must be a number")
     here = [dataclasses.replace(shot, projector=camera) for shot in shots]
-    refused(with_pictures(stripes, here), "its projector stands where the camera does")
+    refused(with_pictures(stripes, here), "frame 0001: its light comes from where the camera stands")
+    through = [dataclasses.replace(shot, pattern={**shot.pattern, "plane": [*shot.pattern["plane"][:3], float(np.dot(shot.pattern["plane"][:3], camera.centre))]})
+               for shot in laser.projected]
+    refused(with_pictures(laser, through), "frame laser: its light comes from where the camera stands")
