@@ -103,13 +103,16 @@ def points_to_voxels(scan: Scan, grid: VoxelGrid, *, measured: Measurement, fill
     Raises
     ------
     ScanstageError
-        There are no points in the working volume.
+        There are no points in the working volume, or the views contradict all of them.
     """
     cloud = measured.cloud.within(np.stack((grid.origin, grid.upper)))
     if not len(cloud):
         raise ScanstageError(f"none of the {len(measured.cloud)} points lies in the working volume; check the calibration, the "
                              "contrast, or the bounds")
     volume, stray = occupied(cloud, measured.depths, grid, fill=fill, progress=progress)
+    if not volume.count():
+        raise ScanstageError(f"light was seen to pass through all of the {len(cloud)} points in the working volume; check the poses of "
+                             "camera, projector and turntable")
     cloud = cloud.chosen(~stray)
     surface, colors = colored_surface(volume, cloud)
     counts = {"points": len(cloud), "stray_points": int(np.count_nonzero(stray))}

@@ -55,14 +55,16 @@ class Sweep:
 
     def extent(self, camera: Camera) -> tuple[float, float]:
         """Return about how wide the stripe is in frames, and in the camera's pixels: where it crosses the camera's axis."""
+        if self.width is None:
+            return _ASSUMED_WIDTH, _ASSUMED_WIDTH
         middle = len(self.positions) // 2
         position = self.positions[middle:middle + 1]
-        distance, _ = self.meet(camera.centre, camera.forward[None], position)
-        if self.width is None or not (np.isfinite(distance[0]) and distance[0] > 0):
-            return _ASSUMED_WIDTH, _ASSUMED_WIDTH
-        step = float(self.step_at(camera.centre + distance[0] * camera.forward[None], position)[0])
-        width = self.width * step if self.projector is not None else self.width
-        return width / (step * self.spacing), width * camera.K[0, 0] / float(distance[0])
+        distance = float(self.meet(camera.centre, camera.forward[None], position)[0][0])
+        crosses = np.isfinite(distance) and distance > 0
+        step = float(self.step_at(camera.centre + distance * camera.forward[None], position)[0]) if crosses else np.nan
+        frames = self.width if self.projector is not None else self.width / step
+        pixels = (self.width * step if self.projector is not None else self.width) * camera.K[0, 0] / distance
+        return frames / self.spacing if np.isfinite(frames) else _ASSUMED_WIDTH, pixels if crosses else _ASSUMED_WIDTH
 
     def at(self, index: np.ndarray) -> np.ndarray:
         """Return the stripe's positions (n,) at fractional frame numbers (n,)."""

@@ -107,6 +107,11 @@ def test_single_points_are_triangulated_one_by_one(camera, projector):
     assert np.abs(cloud.positions[:, 1]).max() < 5e-3
 
 
+def test_points_that_no_picture_shows_are_none(camera, projector, bent):
+    patterns = make_patterns("points", projector.size, {"columns": 2, "rows": 2})
+    refused(projected_view(bent(camera), bent(projector), patterns, [WALL], albedo=0.001), "no pixel gave a point, most of them because: not lit")
+
+
 def refused(view, words):
     with pytest.raises(ScanstageError, match=re.escape(words)) as caught:
         measured(view)

@@ -15,7 +15,7 @@ from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.active.structured_light import separation_pictures
 from addon.reconstruction.color import srgb_to_linear
 from addon.reconstruction.evaluation import point_measures, volume_measures
-from addon.reconstruction.geometry import rotation_about
+from addon.reconstruction.geometry import VoxelGrid, rotation_about
 from addon.reconstruction.scan import Scan
 from tests import experiments
 from tests.interreflection import groove_view
@@ -137,6 +137,14 @@ def test_a_shifted_checker_parts_the_light_of_a_groove():
     flat = separation_pictures("wall", alone.projected)
     seen = flat["direct-wall"] > 50
     assert (srgb_to_linear(flat["indirect-wall"] / 255)[seen] < 0.02 * srgb_to_linear(flat["direct-wall"] / 255)[seen]).all()
+
+
+def test_views_that_contradict_every_point_are_refused(camera, projector):
+    scan = ball_scan(camera, projector, poses=2, code="phase-shift", wall=True)
+    measured = methods.METHODS["phase-shift"].measure(scan)
+    ghost = dataclasses.replace(measured.cloud.chosen(slice(0, 1)), positions=np.array([[0.0, -0.38, 0.0]]))
+    with pytest.raises(ScanstageError, match="light was seen to pass through all of the 1 points"):
+        methods.METHODS["phase-shift"].function(scan, VoxelGrid.from_bounds(*BOX, 40), measured=dataclasses.replace(measured, cloud=ghost))
 
 
 def test_bounds_hold_the_points_where_none_are_given(camera, projector):
