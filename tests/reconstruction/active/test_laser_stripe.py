@@ -16,7 +16,7 @@ from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.active.peaks import ESTIMATORS, centroid_deviations, peak_offsets
 from addon.reconstruction.scan import Scan
 from tests import experiments
-from tests.projection import Wall, laser_view, projected_view
+from tests.projection import Edge, Wall, laser_view, projected_view
 from tests.rigs import camera_at
 
 RANDOM = np.random.default_rng(2)
@@ -93,6 +93,20 @@ def test_a_reflectance_step_hardly_moves_the_peak_in_time():
     temporal, spatial = experiments.reflectance_step()
     assert spatial > 2e-3  # or there is nothing to cut
     assert temporal <= 0.2 * spatial
+
+
+def test_a_convex_edge_is_sharper_in_time_than_in_space():
+    """methods.md T1d: both walls are under the beam at once, whose picture is then not its profile."""
+    camera = camera_at((0.0, -2.0, 0.0), focal=460.0, size=(160, 40))
+    edge = Edge((Wall((np.sqrt(0.5), -np.sqrt(0.5), 0.0), 0.0), Wall((-np.sqrt(0.5), -np.sqrt(0.5), 0.0), 0.0)))
+    view = laser_view(camera, frames=120, width=0.03, reach=0.1, surface=edge)
+    worst = {}
+    for analysis in ("temporal", "spatial"):
+        cloud = measured(view, analysis=analysis).cloud
+        near = np.abs(cloud.positions[:, 0]) < 0.03
+        assert np.count_nonzero(near) > 100
+        worst[analysis] = np.abs(edge.errors(cloud.positions[near])).max()
+    assert worst["temporal"] < 0.5 * worst["spatial"]
 
 
 def test_fourteen_centimetres_and_560_samples_are_a_quarter_of_a_millimetre_apart():
