@@ -216,7 +216,7 @@ def _triangulated(view: View, number: int, sweep: Sweep, positions: np.ndarray, 
     reason[pixels[0][~good], pixels[1][~good]] = Reason.BEHIND
     points, sine, positions = points[good], sine[good], positions[good]
     deviation = deviation[good] * sweep.step_at(points, positions) / sine
-    return measurement_of(view, number, points, (pixels[0][good], pixels[1][good]), deviation, reason, sweep.projector)
+    return measurement_of(view, number, points, (pixels[0][good], pixels[1][good]), deviation, reason, sweep.watcher(points))
 
 
 def _points(view: View, number: int, pictures: Sequence[ProjectedPicture], *, contrast: float, noise: float,

@@ -197,7 +197,7 @@ def measurement_of(view: View, number: int, points: np.ndarray, pixels: tuple[np
         Expected, along the camera's ray.
     reason : (height, width) uint8 array
     projector : Camera, optional
-        From which light came to the points.
+        Where the light came from that fell on the points.
     """
     local = points @ view.camera.R.T + view.camera.t
     front = local[:, 2] > 0

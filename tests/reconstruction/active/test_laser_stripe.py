@@ -11,9 +11,11 @@ import pytest
 from addon.errors import ScanstageError
 from addon.reconstruction import methods
 from addon.reconstruction.active.correspondence import Reason
+from addon.reconstruction.active.free_space import MARGIN
 from addon.reconstruction.active.laser_stripe import passing_times, stripe_peaks
 from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.active.peaks import ESTIMATORS, centroid_deviations, peak_offsets
+from addon.reconstruction.geometry import Light, VoxelGrid
 from addon.reconstruction.scan import Scan
 from tests import experiments
 from tests.projection import Edge, Wall, laser_view, projected_view
@@ -23,8 +25,11 @@ RANDOM = np.random.default_rng(2)
 WALL = Wall((0.0, -1.0, 0.0), 0.0)
 
 
+METHOD = methods.METHODS["laser-stripe"]
+
+
 def measured(view, **options):
-    return methods.METHODS["laser-stripe"].measure(Scan((view,)), **options)
+    return METHOD.measure(Scan((view,)), **options)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -112,6 +117,26 @@ def test_a_convex_edge_is_sharper_in_time_than_in_space():
 def test_fourteen_centimetres_and_560_samples_are_a_quarter_of_a_millimetre_apart():
     """Issue figure, of the Digital Michelangelo project's scanner."""
     assert experiments.laser_spacing() == pytest.approx(0.25e-3, abs=0.02e-3)
+
+
+def test_the_lasers_own_way_to_the_surface_is_free_too(camera):
+    """Where it is known: the space that the camera does not see, but that light passed through."""
+    view = laser_view(camera, frames=60, width=0.06)
+    lamp = Light("point", np.array([0.8, -2.0, 0.0]))
+    lit = with_pictures(view, [dataclasses.replace(shot, light=lamp) for shot in view.projected])
+    moved = with_pictures(view, [dataclasses.replace(shot, light=dataclasses.replace(lamp, position=(0.8, -2.0, 0.01 * number)))
+                                 for number, shot in enumerate(view.projected)])
+    grid = VoxelGrid.from_bounds((-0.3, -1.2, -0.2), (0.6, 0.3, 0.2), 45)
+    solid = {}
+    for name, scene in (("dark", view), ("lit", lit), ("moved", moved)):
+        found = METHOD.function(None, grid, measured=measured(scene), fill="solid")
+        solid[name] = found.volume.dense()
+        behind = grid.centres(np.argwhere(~solid[name]))[:, 1]
+        assert behind.max() < -MARGIN * grid.voxel_size * 0.99  # nothing of the wall is taken
+    assert (solid["dark"] == solid["moved"]).all() and not (solid["lit"] & ~solid["dark"]).any()
+    way = np.round((np.array([0.375, -1.0, 0.0]) - grid.origin) / grid.voxel_size - 0.5).astype(int)  # from the lamp to x = -0.05
+    pixel = camera.project(grid.centres(way))[0]
+    assert not (0 <= pixel[0] < camera.size[0]) and solid["dark"][tuple(way)] and not solid["lit"][tuple(way)]
 
 
 def test_single_points_are_triangulated_one_by_one(camera, projector):
