@@ -46,6 +46,21 @@ class Wall:
 
 
 @dataclass(frozen=True)
+class Edge:
+    """A convex edge: what lies behind both of two walls."""
+
+    walls: tuple[Wall, Wall]
+
+    def distances(self, origin: np.ndarray, rays: np.ndarray) -> np.ndarray:
+        """Return where (..., 3) unit rays from before both walls first meet the edge's body."""
+        return np.maximum(*(wall.distances(origin, rays) for wall in self.walls))
+
+    def errors(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distances (...) of points from the surface, as far as they lie near it."""
+        return np.maximum(*(points @ np.array(wall.normal) - wall.offset for wall in self.walls))
+
+
+@dataclass(frozen=True)
 class Round:
     """The surface of a ball."""
 
@@ -167,17 +182,18 @@ def projected_view(camera: Camera, projector: Camera, patterns: Sequence[Pattern
     return View(name, camera, None, own.read_image, projected=pictures)
 
 
-def laser_view(camera: Camera, *, frames: int = 60, width: float = 0.02, albedo: Albedo | None = None, reach: float = 0.35) -> View:
-    """Return a view of the wall y = 0 under a laser that turns about an upright axis at (0.8, -2, 0), and meets x from -reach to reach.
+def laser_view(camera: Camera, *, frames: int = 60, width: float = 0.02, albedo: Albedo | None = None, reach: float = 0.35,
+               surface: Wall | Edge = Wall((0.0, -1.0, 0.0), 0.0)) -> View:
+    """Return a view under a laser that turns about an upright axis at (0.8, -2, 0), and meets y = 0 at x from -reach to reach.
 
-    The sheet of light is ``width`` thick, four standard deviations of its profile.
+    The sheet of light is ``width`` thick, four standard deviations of its profile. Nothing is in shadow.
     """
     light = np.array([0.8, -2.0, 0.0])
     targets = np.linspace(-reach, reach, frames)
     normals = np.cross(np.stack((targets, np.zeros(frames), np.zeros(frames)), -1) - light, (0.0, 0.0, 1.0))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     rays = picture_rays(camera)
-    points = camera.centre + Wall((0.0, -1.0, 0.0), 0.0).distances(camera.centre, rays)[..., None] * rays
+    points = camera.centre + surface.distances(camera.centre, rays)[..., None] * rays
     colors = np.full(points.shape[:-1], 0.8) if albedo is None else albedo(points)
 
     def reader(number: int):

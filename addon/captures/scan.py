@@ -134,7 +134,9 @@ def _projected(folder: Path, capture: Capture) -> dict[tuple[str, bytes], tuple[
             fields["plane"] = _moved_plane(fields["plane"], motion, f"{FILE_NAME}: patterns.{frame.pattern}.plane")
         id = _projector_of(capture, frame, fields)
         projector = None if id is None else capture.projectors[id].moved(motion)
-        found.setdefault(_place(frame), []).append(ProjectedPicture(frame.id, fields, id, projector, _reader(folder, capture, frame)))
+        light = capture.lights[frame.lights[0]].moved(motion) if len(frame.lights) == 1 else None
+        picture = ProjectedPicture(frame.id, fields, id, projector, _reader(folder, capture, frame), light)
+        found.setdefault(_place(frame), []).append(picture)
     return {place: tuple(pictures) for place, pictures in found.items()}
 
 

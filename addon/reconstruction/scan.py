@@ -50,6 +50,8 @@ class ProjectedPicture:
         In the object frame. None where the pattern itself says where its light is, as a laser's does.
     read_image : callable
         As `View.read_image`.
+    light : Light, optional
+        In the object frame: the frame's only light, such as where a laser's sheet comes from.
     """
 
     name: str
@@ -57,6 +59,7 @@ class ProjectedPicture:
     projector_id: str | None
     projector: Camera | None
     read_image: Callable[[], np.ndarray]
+    light: Light | None = None
 
 
 @dataclass(frozen=True)

@@ -133,8 +133,12 @@ def remove_result(name: str) -> None:
     if found is None or OWNER not in found:
         return
     materials = {slot.material for slot in found.material_slots if slot.material}
+    groups = {modifier.node_group for modifier in found.modifiers if modifier.type == 'NODES' and modifier.node_group}
     mesh = found.data
     bpy.data.objects.remove(found)
+    for group in groups:
+        if OWNER in group and group.users == 0:
+            bpy.data.node_groups.remove(group)
     if mesh.users == 0:
         materials.update(material for material in mesh.materials if material)
         bpy.data.meshes.remove(mesh)

@@ -205,7 +205,9 @@ def test_without_silhouettes_a_pose_that_has_only_patterns_is_a_view_too(capture
 
 
 def test_a_lasers_plane_turns_with_the_object(capture_folder):
-    capture = rewrite(capture_folder, projectors={}, patterns={"stripes": {"kind": "laser", "plane": [0.6, 0.0, 0.8, 0.25]}})
+    capture = read_capture(capture_folder)
+    frames = tuple(dataclasses.replace(frame, lights=("lamp",)) for frame in capture.frames)
+    capture = rewrite(capture_folder, projectors={}, frames=frames, patterns={"stripes": {"kind": "laser", "plane": [0.6, 0.0, 0.8, 0.25]}})
     picture, = load_scan(capture_folder, silhouettes=False).views[1].projected
     assert picture.projector is None
     *normal, offset = picture.pattern["plane"]
@@ -213,6 +215,7 @@ def test_a_lasers_plane_turns_with_the_object(capture_folder):
     motion = np.asarray(capture.frames[1].object_to_world)
     world = points @ motion[:3, :3].T + motion[:3, 3]
     np.testing.assert_allclose(points @ normal - offset, world @ [0.6, 0, 0.8] - 0.25, atol=1e-12)
+    np.testing.assert_allclose(motion[:3, :3] @ picture.light.position + motion[:3, 3], capture.lights["lamp"].position, atol=1e-12)
 
 
 @pytest.mark.parametrize(("changes", "words"), [

@@ -381,3 +381,11 @@ def test_ctrl_c_is_130_and_leaves_no_result(capture, tmp_path):
     status, out, error = finished(process)
     assert (status, out) == (130, "") and error.splitlines()[-1].startswith("scanstage: interrupted")
     assert not list(tmp_path.iterdir())
+
+
+def test_patterns_writes_pictures_for_a_real_projector(run, tmp_path):
+    status, out, _ = run("patterns", "gray-code", "--out", tmp_path / "shown", "--size", 32, 16, "--set", "axes=columns", "--quiet")
+    assert status == 0 and out == f"{tmp_path / 'shown'}: 12 patterns of gray-code\n"
+    assert len(list((tmp_path / "shown").glob("pattern-*.png"))) == 12
+    status, _, err = run("patterns", "grey-code", "--out", tmp_path / "other", "--quiet")
+    assert status == 1 and "there is no pattern set 'grey-code'" in err and not (tmp_path / "other").exists()

@@ -81,10 +81,12 @@ class _FreeSpace:
 
 
 def depth_map_of(camera: Camera, depths: np.ndarray) -> DepthMap:
-    """Return the depth map of a camera's own pixels (h, w), without the pixels that would end in holes of a pixel or two."""
+    """Return the depth map of a device's pixels (h, w), 0 where unknown, with holes of a pixel or two closed.
+
+    Lone pixels without a point, on the borders of columns, must not keep what all those about them see to be free; their
+    nearest neighbour stands in for them.
+    """
     known = depths > 0
-    # Single pixels without a point, on the borders of columns, must not keep what all round them see to be free; the
-    # nearer neighbour stands in for them.
     far = np.where(known, depths, np.inf).astype(np.float32)
     filled = cv2.erode(far, np.ones((3, 3), np.uint8))
     enough = cv2.boxFilter(known.astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT) >= 6

@@ -22,7 +22,7 @@ from ...options import Option, Unit
 from ...progress import Progress, silent
 from ..scan import ProjectedPicture, Scan, View
 from .correspondence import NOISE, Reason
-from .measurement import MAX_GAP, Measurement, measurement_of, refuse_degenerate
+from .measurement import LEAST_BASELINE, MAX_GAP, Measurement, degenerate, measurement_of, refuse_degenerate
 from .peaks import ESTIMATORS, centroid_deviations, peak_offsets
 from .sequences import number_of, of_kind, read_grey
 from .structured_light import FILL
@@ -60,8 +60,7 @@ def measure_laser_stripe(scan: Scan, *, analysis: str = "temporal", estimator: s
     for number, view in enumerate(scan.views):
         progress(number / len(scan.views), f"Following the light in view {view.name}")
         for sweep in find_sweeps(view.projected, f"the view of frame {view.name}"):
-            if sweep.projector is not None:
-                refuse_degenerate(view.name, view.camera, sweep.projector)
+            _refuse_degenerate(view, sweep)
             measure = _temporal if analysis == "temporal" else _spatial
             parts.append(measure(view, number, sweep, estimator=estimator, contrast=contrast, noise=noise))
         if points := of_kind(view.projected, "point"):
@@ -71,6 +70,14 @@ def measure_laser_stripe(scan: Scan, *, analysis: str = "temporal", estimator: s
                              "sweep")
     progress(1.0, "Measured")
     return Measurement.joined(parts)
+
+
+def _refuse_degenerate(view: View, sweep: Sweep) -> None:
+    """Refuse light whose planes all hold the camera: every ray then lies in one of them."""
+    from_planes = sweep.planes[:, :3] @ view.camera.centre - sweep.planes[:, 3]
+    size = np.linalg.norm(sweep.planes[:, :3], axis=1) * max(np.linalg.norm(view.camera.t), 1e-300)
+    if (np.abs(from_planes) <= LEAST_BASELINE * size).all():
+        raise degenerate(view.name)
 
 
 def _temporal(view: View, number: int, sweep: Sweep, *, estimator: str, contrast: float, noise: float) -> Measurement:
@@ -209,7 +216,7 @@ def _triangulated(view: View, number: int, sweep: Sweep, positions: np.ndarray, 
     reason[pixels[0][~good], pixels[1][~good]] = Reason.BEHIND
     points, sine, positions = points[good], sine[good], positions[good]
     deviation = deviation[good] * sweep.step_at(points, positions) / sine
-    return measurement_of(view, number, points, (pixels[0][good], pixels[1][good]), deviation, reason, sweep.projector)
+    return measurement_of(view, number, points, (pixels[0][good], pixels[1][good]), deviation, reason, sweep.watcher(points))
 
 
 def _points(view: View, number: int, pictures: Sequence[ProjectedPicture], *, contrast: float, noise: float,

@@ -27,7 +27,8 @@ from .triangulation import LEAST_ANGLE, meet_lines, meet_rays, pixel_width, rays
 
 MAX_GAP = 2.0
 """Projector pixels by which the rays of camera and projector may miss each other."""
-_LEAST_BASELINE = 1e-6  # of the distance between the scene's devices and what they see
+LEAST_BASELINE = 1e-6
+"""Between camera and light, as a share of their distance from the object."""
 _NORMAL_WINDOW = 5
 _MARGIN = 0.05  # of the points' extent, on each side of the working volume
 _OUTLIERS = 0.005  # share of the points that may lie beyond each side of it
@@ -57,10 +58,20 @@ class Measurement:
 
     @classmethod
     def joined(cls, parts: Sequence[Measurement]) -> Measurement:
-        """Merge the measurements of several views, which share the object frame."""
+        """Merge the measurements of several views, which share the object frame.
+
+        Raises
+        ------
+        ScanstageError
+            None of them has a point.
+        """
         counts: dict[str, int] = {}
         for part in parts:
             counts |= {name: counts.get(name, 0) + number for name, number in part.counts.items()}
+        if not any(len(part.cloud) for part in parts):
+            why = max((kind for kind in Reason if kind is not Reason.VALID), key=lambda kind: counts.get(kind.name.lower(), 0))
+            raise ScanstageError(f"no pixel gave a point, most of them because: {SENTENCES[why]}; check the light, the patterns and the "
+                                 "calibration, or lower the contrast")
         return cls(PointCloud.joined([part.cloud for part in parts]), tuple(depth for part in parts for depth in part.depths), counts,
                    tuple(warning for part in parts for warning in part.warnings),
                    {name: picture for part in parts for name, picture in part.pictures.items()})
@@ -71,10 +82,8 @@ class Measurement:
         Raises
         ------
         ScanstageError
-            There are no points, or they all lie on a line.
+            All points lie in one place.
         """
-        if not len(self.cloud):
-            raise ScanstageError("no pixel gave a point; check the patterns, the calibration and the light, or lower the contrast")
         low, high = np.quantile(self.cloud.positions, (_OUTLIERS, 1 - _OUTLIERS), axis=0)
         room = _MARGIN * np.linalg.norm(high - low)
         if not room > 0:
@@ -94,13 +103,16 @@ def points_to_voxels(scan: Scan, grid: VoxelGrid, *, measured: Measurement, fill
     Raises
     ------
     ScanstageError
-        There are no points in the working volume.
+        There are no points in the working volume, or the views contradict all of them.
     """
     cloud = measured.cloud.within(np.stack((grid.origin, grid.upper)))
     if not len(cloud):
         raise ScanstageError(f"none of the {len(measured.cloud)} points lies in the working volume; check the calibration, the "
                              "contrast, or the bounds")
     volume, stray = occupied(cloud, measured.depths, grid, fill=fill, progress=progress)
+    if not volume.count():
+        raise ScanstageError(f"light was seen to pass through all of the {len(cloud)} points in the working volume; check the poses of "
+                             "camera, projector and turntable")
     cloud = cloud.chosen(~stray)
     surface, colors = colored_surface(volume, cloud)
     counts = {"points": len(cloud), "stray_points": int(np.count_nonzero(stray))}
@@ -160,9 +172,14 @@ def measure_view(view: View, number: int, projector: Camera, decoded: Mapping[st
 def refuse_degenerate(name: str, camera: Camera, projector: Camera) -> None:
     """Refuse a projector that stands where the camera does: all rays then meet there."""
     baseline = np.linalg.norm(camera.centre - projector.centre)
-    if not baseline > _LEAST_BASELINE * max(np.linalg.norm(camera.t), np.linalg.norm(projector.t), 1e-300):
-        raise ScanstageError(f"frame {name}: its projector stands where the camera does, so that nothing can be triangulated; "
-                             "correct the calibration, or move one of the two")
+    if not baseline > LEAST_BASELINE * max(np.linalg.norm(camera.t), np.linalg.norm(projector.t), 1e-300):
+        raise degenerate(name)
+
+
+def degenerate(name: str) -> ScanstageError:
+    """Return what to say of a frame whose light comes from where its camera stands."""
+    return ScanstageError(f"frame {name}: its light comes from where the camera stands, so that nothing can be triangulated; correct the "
+                          "calibration, or move one of the two")
 
 
 def measurement_of(view: View, number: int, points: np.ndarray, pixels: tuple[np.ndarray, np.ndarray], deviation: np.ndarray,
@@ -180,7 +197,7 @@ def measurement_of(view: View, number: int, points: np.ndarray, pixels: tuple[np
         Expected, along the camera's ray.
     reason : (height, width) uint8 array
     projector : Camera, optional
-        From which light came to the points.
+        Where the light came from that fell on the points.
     """
     local = points @ view.camera.R.T + view.camera.t
     front = local[:, 2] > 0

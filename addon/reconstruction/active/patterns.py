@@ -11,7 +11,7 @@ taken under it. Decoders read the fields alone: they do not care who showed the 
 | ``gray-code`` | ``axis``, ``bit`` (0 is the finest), ``bits``, ``inverse`` |
 | ``phase-shift`` | ``axis``, ``period`` in pixels, ``step``, ``steps`` |
 | ``stripe`` | ``axis``, ``position`` of its middle and ``width`` (four standard deviations) in pixels |
-| ``laser`` | ``plane``, ``[nx, ny, nz, d]`` with ``n . X = d`` in the world: a stripe that no projector makes |
+| ``laser`` | ``plane``, ``[nx, ny, nz, d]`` with ``n . X = d`` in the world, and ``width`` in its unit: a stripe of no projector |
 | ``point`` | ``column``, ``row``, ``width`` |
 | ``point-grid`` | ``spacing``, ``width`` |
 | ``checker`` | ``cell``, ``step``, ``steps`` |

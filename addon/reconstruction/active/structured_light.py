@@ -4,17 +4,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from ...errors import ScanstageError
 from ...options import Option, Unit
 from ...progress import Progress, silent
+from ..color import linear_to_srgb
 from ..geometry import Camera
 from ..scan import ProjectedPicture, Scan, View
 from .correspondence import CONTRAST
 from .decoding import decode_view
 from .free_space import FILLS
+from .gray_code import separated
 from .measurement import MAX_GAP, Measurement, measure_view
+from .sequences import of_kind, only
 
 FILL = Option("fill", "shell", "Which voxels are occupied", choices=FILLS)
 _CONTRAST = Option("contrast", CONTRAST, "Least light from the projector, as a share of white, by which a pixel is decoded", minimum=0.0,
@@ -48,9 +54,28 @@ def _measured(scan: Scan, code: str, max_gap: float, progress: Progress, **decod
     for step, (number, view, projector, pictures) in enumerate(views):
         progress(step / len(views), f"Decoding view {view.name}")
         decoded = decode_view(pictures, projector.size, code=code, where=f"the view of frame {view.name}", **decoding)
-        parts.append(measure_view(view, number, projector, decoded, max_gap=max_gap))
+        part = measure_view(view, number, projector, decoded, max_gap=max_gap)
+        parts.append(replace(part, pictures={**part.pictures, **separation_pictures(view.name, pictures)}))
     progress(1.0, "Decoded")
     return Measurement.joined(parts)
+
+
+def separation_pictures(name: str, pictures: Sequence[ProjectedPicture]) -> dict[str, np.ndarray]:
+    """Return a view's direct and indirect light as (h, w, 3) uint8 sRGB pictures, where it was taken under a shifted checker."""
+    checkers = of_kind(pictures, "checker")
+    if len(checkers) < 2:
+        return {}
+    black = only(pictures, "black")
+    dark = np.zeros((), np.float32) if black is None else black.read_image()
+    # Two running extremes: 25 pictures need not lie in memory together.
+    brightest, darkest = None, None
+    for checker in checkers:
+        image = checker.read_image()
+        brightest = image if brightest is None else np.maximum(brightest, image)
+        darkest = image if darkest is None else np.minimum(darkest, image)
+    parts = separated([brightest, darkest], np.broadcast_to(dark, darkest.shape).astype(np.float32))
+    return {f"{kind}-{name}": np.rint(linear_to_srgb(np.clip(part, 0, 1)) * 255).astype(np.uint8)
+            for kind, part in zip(("direct", "indirect"), parts, strict=True)}
 
 
 def projections(scan: Scan) -> Iterator[tuple[int, View, Camera, list[ProjectedPicture]]]:

@@ -10,13 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import ScanstageError
-from ..geometry import Camera
+from ..geometry import Camera, look_at
 from ..scan import ProjectedPicture
 from .patterns import AXES
 from .sequences import AGAIN, number_of, of_kind
 from .triangulation import light_planes, meet_lines, meet_planes, pixel_width
 
 LEAST_FRAMES = 3
+_WATCHER_SIDE = 1024  # pixels of the camera that stands for a laser
+_WIDEST = 4.0  # tangent of half its angle
 _ASSUMED_WIDTH = 4.0  # of a stripe, in frames and in the camera's pixels, where nothing tells it
 
 
@@ -48,6 +50,18 @@ class Sweep:
         """The projector; None for a laser."""
         return self.pictures[0].projector if self.axis is not None else None
 
+    def watcher(self, points: np.ndarray) -> Camera | None:
+        """Return the projector, or a camera where a laser's light comes from that sees points (n, 3); None if that is not known.
+
+        A laser that is moved along, instead of turned, has no one such place.
+        """
+        if self.projector is not None:
+            return self.projector
+        sources = [None if picture.light is None else picture.light.position for picture in self.pictures]
+        if sources[0] is None or not all(source is not None and np.allclose(source, sources[0]) for source in sources):
+            return None
+        return _camera_at(np.asarray(sources[0], np.float64), points)
+
     @property
     def spacing(self) -> float:
         """The step from frame to frame."""
@@ -55,14 +69,16 @@ class Sweep:
 
     def extent(self, camera: Camera) -> tuple[float, float]:
         """Return about how wide the stripe is in frames, and in the camera's pixels: where it crosses the camera's axis."""
+        if self.width is None:
+            return _ASSUMED_WIDTH, _ASSUMED_WIDTH
         middle = len(self.positions) // 2
         position = self.positions[middle:middle + 1]
-        distance, _ = self.meet(camera.centre, camera.forward[None], position)
-        if self.width is None or not (np.isfinite(distance[0]) and distance[0] > 0):
-            return _ASSUMED_WIDTH, _ASSUMED_WIDTH
-        step = float(self.step_at(camera.centre + distance[0] * camera.forward[None], position)[0])
-        width = self.width * step if self.projector is not None else self.width
-        return width / (step * self.spacing), width * camera.K[0, 0] / float(distance[0])
+        distance = float(self.meet(camera.centre, camera.forward[None], position)[0][0])
+        crosses = np.isfinite(distance) and distance > 0
+        step = float(self.step_at(camera.centre + distance * camera.forward[None], position)[0]) if crosses else np.nan
+        frames = self.width if self.projector is not None else self.width / step
+        pixels = (self.width * step if self.projector is not None else self.width) * camera.K[0, 0] / distance
+        return frames / self.spacing if np.isfinite(frames) else _ASSUMED_WIDTH, pixels if crosses else _ASSUMED_WIDTH
 
     def at(self, index: np.ndarray) -> np.ndarray:
         """Return the stripe's positions (n,) at fractional frame numbers (n,)."""
@@ -86,6 +102,25 @@ class Sweep:
         lower = np.clip(np.floor(positions).astype(int), 0, len(self.planes) - 2)
         share = (positions - lower)[:, None]
         return (1 - share) * self.planes[lower] + share * self.planes[lower + 1]
+
+
+def _camera_at(source: np.ndarray, points: np.ndarray) -> Camera | None:
+    """Return a camera that sees as many of the points (n, 3) from a source as are before it; None if there are none."""
+    if not len(points):
+        return None
+    towards = points.mean(axis=0)
+    up = np.eye(3)[np.abs(towards - source).argmin()]  # the axis farthest from the direction of view
+    try:
+        R, t = look_at(source, towards, up)
+    except ValueError:  # the source is in the middle of the points
+        return None
+    local = points @ R.T + t
+    local = local[local[:, 2] > 0]
+    if not len(local):
+        return None
+    half = _WATCHER_SIDE / 2
+    focal = (half - 1) / min(max(float((np.abs(local[:, :2]) / local[:, 2:]).max()), 1e-6), _WIDEST)
+    return Camera([[focal, 0, half - 0.5], [0, focal, half - 0.5], [0, 0, 1]], R, t, (_WATCHER_SIDE, _WATCHER_SIDE))
 
 
 def find_sweeps(pictures: Sequence[ProjectedPicture], where: str) -> list[Sweep]:

@@ -26,7 +26,7 @@ LEAST_ANGLE = np.radians(0.5)
 def undistorted_pixels(camera: Camera, pixels: np.ndarray) -> np.ndarray:
     """Return where the pixels (..., 2) of a real picture would be without lens distortion."""
     pixels = np.asarray(pixels, np.float64)
-    if not camera.distorted:
+    if not camera.distorted or not pixels.size:
         return pixels
     inverse = np.linalg.inv(camera.K)
     real = pixels.reshape(-1, 2) @ inverse[:2, :2].T + inverse[:2, 2]

@@ -11,20 +11,25 @@ import pytest
 from addon.errors import ScanstageError
 from addon.reconstruction import methods
 from addon.reconstruction.active.correspondence import Reason
+from addon.reconstruction.active.free_space import MARGIN
 from addon.reconstruction.active.laser_stripe import passing_times, stripe_peaks
 from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.active.peaks import ESTIMATORS, centroid_deviations, peak_offsets
+from addon.reconstruction.geometry import Light, VoxelGrid
 from addon.reconstruction.scan import Scan
 from tests import experiments
-from tests.projection import Wall, laser_view, projected_view
+from tests.projection import Edge, Wall, laser_view, projected_view
 from tests.rigs import camera_at
 
 RANDOM = np.random.default_rng(2)
 WALL = Wall((0.0, -1.0, 0.0), 0.0)
 
 
+METHOD = methods.METHODS["laser-stripe"]
+
+
 def measured(view, **options):
-    return methods.METHODS["laser-stripe"].measure(Scan((view,)), **options)
+    return METHOD.measure(Scan((view,)), **options)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -95,9 +100,43 @@ def test_a_reflectance_step_hardly_moves_the_peak_in_time():
     assert temporal <= 0.2 * spatial
 
 
+def test_a_convex_edge_is_sharper_in_time_than_in_space():
+    """methods.md T1d: both walls are under the beam at once, whose picture is then not its profile."""
+    camera = camera_at((0.0, -2.0, 0.0), focal=460.0, size=(160, 40))
+    edge = Edge((Wall((np.sqrt(0.5), -np.sqrt(0.5), 0.0), 0.0), Wall((-np.sqrt(0.5), -np.sqrt(0.5), 0.0), 0.0)))
+    view = laser_view(camera, frames=120, width=0.03, reach=0.1, surface=edge)
+    worst = {}
+    for analysis in ("temporal", "spatial"):
+        cloud = measured(view, analysis=analysis).cloud
+        near = np.abs(cloud.positions[:, 0]) < 0.03
+        assert np.count_nonzero(near) > 100
+        worst[analysis] = np.abs(edge.errors(cloud.positions[near])).max()
+    assert worst["temporal"] < 0.5 * worst["spatial"]
+
+
 def test_fourteen_centimetres_and_560_samples_are_a_quarter_of_a_millimetre_apart():
     """Issue figure, of the Digital Michelangelo project's scanner."""
     assert experiments.laser_spacing() == pytest.approx(0.25e-3, abs=0.02e-3)
+
+
+def test_the_lasers_own_way_to_the_surface_is_free_too(camera):
+    """Where it is known: the space that the camera does not see, but that light passed through."""
+    view = laser_view(camera, frames=60, width=0.06)
+    lamp = Light("point", np.array([0.8, -2.0, 0.0]))
+    lit = with_pictures(view, [dataclasses.replace(shot, light=lamp) for shot in view.projected])
+    moved = with_pictures(view, [dataclasses.replace(shot, light=dataclasses.replace(lamp, position=(0.8, -2.0, 0.01 * number)))
+                                 for number, shot in enumerate(view.projected)])
+    grid = VoxelGrid.from_bounds((-0.3, -1.2, -0.2), (0.6, 0.3, 0.2), 45)
+    solid = {}
+    for name, scene in (("dark", view), ("lit", lit), ("moved", moved)):
+        found = METHOD.function(None, grid, measured=measured(scene), fill="solid")
+        solid[name] = found.volume.dense()
+        behind = grid.centres(np.argwhere(~solid[name]))[:, 1]
+        assert behind.max() < -MARGIN * grid.voxel_size * 0.99  # nothing of the wall is taken
+    assert (solid["dark"] == solid["moved"]).all() and not (solid["lit"] & ~solid["dark"]).any()
+    way = np.round((np.array([0.375, -1.0, 0.0]) - grid.origin) / grid.voxel_size - 0.5).astype(int)  # from the lamp to x = -0.05
+    pixel = camera.project(grid.centres(way))[0]
+    assert not (0 <= pixel[0] < camera.size[0]) and solid["dark"][tuple(way)] and not solid["lit"][tuple(way)]
 
 
 def test_single_points_are_triangulated_one_by_one(camera, projector):
@@ -105,6 +144,11 @@ def test_single_points_are_triangulated_one_by_one(camera, projector):
     cloud = measured(projected_view(camera, projector, patterns, [WALL])).cloud
     assert 10 <= len(cloud) <= 20
     assert np.abs(cloud.positions[:, 1]).max() < 5e-3
+
+
+def test_points_that_no_picture_shows_are_none(camera, projector, bent):
+    patterns = make_patterns("points", projector.size, {"columns": 2, "rows": 2})
+    refused(projected_view(bent(camera), bent(projector), patterns, [WALL], albedo=0.001), "no pixel gave a point, most of them because: not lit")
 
 
 def refused(view, words):
@@ -130,4 +174,7 @@ def test_sweeps_that_cannot_be_are_refused_by_frame(camera, projector):
     bad = dataclasses.replace(shots[0], pattern={**shots[0].pattern, "position": "left"})
     refused(with_pictures(stripes, [bad, *shots[1:]]), "its pattern's position must be a number")
     here = [dataclasses.replace(shot, projector=camera) for shot in shots]
-    refused(with_pictures(stripes, here), "its projector stands where the camera does")
+    refused(with_pictures(stripes, here), "frame 0001: its light comes from where the camera stands")
+    through = [dataclasses.replace(shot, pattern={**shot.pattern, "plane": [*shot.pattern["plane"][:3], float(np.dot(shot.pattern["plane"][:3], camera.centre))]})
+               for shot in laser.projected]
+    refused(with_pictures(laser, through), "frame laser: its light comes from where the camera stands")

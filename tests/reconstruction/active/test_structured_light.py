@@ -12,12 +12,15 @@ from addon.errors import ScanstageError
 from addon.reconstruction import methods
 from addon.reconstruction.active.measurement import view_normals
 from addon.reconstruction.active.patterns import make_patterns
+from addon.reconstruction.active.structured_light import separation_pictures
+from addon.reconstruction.color import srgb_to_linear
 from addon.reconstruction.evaluation import point_measures, volume_measures
-from addon.reconstruction.geometry import rotation_about
+from addon.reconstruction.geometry import VoxelGrid, rotation_about
 from addon.reconstruction.scan import Scan
 from tests import experiments
+from tests.interreflection import groove_view
 from tests.projection import Round, Wall, projected_view
-from tests.rigs import Ball, sphere_mesh
+from tests.rigs import Ball, camera_at, sphere_mesh
 
 BALL = Ball((0.0, 0.0, 0.0), 0.3)
 BOX = np.array([[-0.4, -0.4, -0.4], [0.4, 0.4, 0.4]])
@@ -117,6 +120,33 @@ def test_points_that_another_view_sees_through_are_dropped(camera, projector):
     assert (outcome.volume.dense() == clean.volume.dense()).all()
 
 
+def test_a_shifted_checker_parts_the_light_of_a_groove():
+    """methods.md T6d: indirect light rises towards a crease, and there is none on what nothing faces."""
+    camera = camera_at((-0.1, -2.2, 0.1), (0, -0.25, 0), focal=100.0, size=(60, 45))
+    projector = camera_at((0.15, -2.1, 0.15), (0, -0.25, 0), focal=260.0, size=(200, 150))
+    patterns = [*make_patterns("checker", projector.size, {"cell": 4}), *make_patterns("gray-code", projector.size)[-2:]]
+    view, truth, share = groove_view(camera, projector, patterns, patches=10, noise=0.0, levels=65535)
+    found = separation_pictures("groove", view.projected)
+    direct, indirect = (srgb_to_linear(found[f"{kind}-groove"][..., 0] / 255) for kind in ("direct", "indirect"))
+    lit = share > 0
+    error = np.abs(direct / np.maximum(direct + indirect, 1e-6) - share)[lit]
+    assert np.quantile(error, 0.95) < 0.05  # in the crease itself indirect light is not even under cells of four pixels
+    depth = np.hypot(truth.points[..., 0], truth.points[..., 1])
+    assert np.median(indirect[lit & (depth < 0.15)]) > 1.5 * np.median(indirect[lit & (depth > 0.35)])
+    alone = projected_view(camera, projector, patterns, [Wall((0.0, -1.0, 0.0), 0.0)])
+    flat = separation_pictures("wall", alone.projected)
+    seen = flat["direct-wall"] > 50
+    assert (srgb_to_linear(flat["indirect-wall"] / 255)[seen] < 0.02 * srgb_to_linear(flat["direct-wall"] / 255)[seen]).all()
+
+
+def test_views_that_contradict_every_point_are_refused(camera, projector):
+    scan = ball_scan(camera, projector, poses=2, code="phase-shift", wall=True)
+    measured = methods.METHODS["phase-shift"].measure(scan)
+    ghost = dataclasses.replace(measured.cloud.chosen(slice(0, 1)), positions=np.array([[0.0, -0.38, 0.0]]))
+    with pytest.raises(ScanstageError, match="light was seen to pass through all of the 1 points"):
+        methods.METHODS["phase-shift"].function(scan, VoxelGrid.from_bounds(*BOX, 40), measured=dataclasses.replace(measured, cloud=ghost))
+
+
 def test_bounds_hold_the_points_where_none_are_given(camera, projector):
     found = methods.reconstruct(ball_scan(camera, projector, poses=6, bounds=None), "gray-code", voxels=32)
     assert (found.volume.grid.origin < -0.3).all() and (found.volume.grid.upper > 0.3).all()
@@ -134,6 +164,9 @@ def test_what_cannot_be_measured_is_said_in_a_sentence(camera, projector, scene)
     refused(Scan((dataclasses.replace(plain, projected=()),)), "gray-code", "no frame of the capture was taken under a pattern")
     refused(Scan((plain,), np.array([[5.0, 5, 5], [6, 6, 6]])), "gray-code", "lies in the working volume")
     behind = projected_view(camera, camera, make_patterns("gray-code", camera.size), scene)
-    refused(Scan((behind,)), "gray-code", "frame 0001: its projector stands where the camera does")
+    refused(Scan((behind,)), "gray-code", "frame 0001: its light comes from where the camera stands")
+    level = camera_at(camera.centre + camera.R[0] * 0.7, target=camera.R[0] * 0.7, focal=180.0, size=(128, 96))
+    rows = projected_view(camera, level, make_patterns("gray-code", level.size, {"axes": "rows"}), scene)  # which the baseline lies in
+    refused(Scan((rows,)), "gray-code", "no pixel gave a point, most of them because: ")
     lost = [dataclasses.replace(picture, projector=None) for picture in plain.projected]
     refused(Scan((dataclasses.replace(plain, projected=tuple(lost)),)), "gray-code", "its pattern has no projector")
