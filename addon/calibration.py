@@ -39,7 +39,7 @@ OPTIONS = (
     Option("camera_lens", "radial", "What is estimated of the cameras' lens distortion", choices=_LENSES),
     Option("projector_lens", "radial", "What is estimated of the projectors' lens distortion", choices=_LENSES),
     Option("window", 1.0, "Side, in squares of the board, of the patch round a corner whose decoded pixels carry it into the projector: "
-           "smaller follows the lenses better, larger averages more", minimum=0.2, maximum=100.0),
+           "smaller follows the lenses better, larger averages more", minimum=0.2, maximum=10.0),
 )
 
 

