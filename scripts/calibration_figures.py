@@ -64,7 +64,7 @@ def errors(true, board, rng, noise):
         R = rotation_about((np.cos(about), np.sin(about), 0), tilt) @ rotation_about((0, 0, 1), rng.uniform(-0.3, 0.3))
         points = (board.corners - board.corners.mean(axis=0)) @ R.T + (*rng.uniform(-0.05, 0.05, 2), rng.uniform(0.7, 1.0))
         for name, device in true.items():
-            pixels = device.project(points)[0] + rng.normal(0, noise[name] or 1e-300, (len(points), 2))
+            pixels = device.project(points)[0] + rng.normal(0, noise[name], (len(points), 2))
             seen.append(Sighting(name, str(number), str(number), np.arange(len(points)), pixels))
     rig = calibrate_rig(board.corners, seen, {name: one.size for name, one in true.items()}, dict.fromkeys(true, "none"))
     (camera, true_camera), (projector, true_projector) = ((rig.devices[name], one) for name, one in true.items())
