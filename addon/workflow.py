@@ -29,7 +29,7 @@ from .reconstruction.volumetric.polyhedral_hull import Solids
 from .results.folder import REPORT, Result, check_replaceable, read_result, report_section, write_result
 from .results.ply import read_ply
 
-INPUT_OPTIONS = {"silhouettes": SILHOUETTE_OPTIONS, "lights": SHADOW_OPTIONS}
+INPUT_OPTIONS = {"silhouettes": SILHOUETTE_OPTIONS, "lights": SHADOW_OPTIONS, "patterns": ()}
 """By what a method needs of a capture: the options of how that is taken from the pictures."""
 
 
@@ -74,16 +74,17 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
         inputs["silhouettes"].setdefault("conservative", False)  # the rule is unbiased only with masks that are
     if solids is None and methods.find_method(method).cuts_solids:
         solids = _blender_solids(method)
-    scan = load_scan(capture, inputs["silhouettes"], part_of(progress, 0.0, 0.2), shadow_options=inputs.get("lights"))
+    scan = load_scan(capture, inputs.get("silhouettes"), part_of(progress, 0.0, 0.2), silhouettes="silhouettes" in inputs,
+                     shadow_options=inputs.get("lights"))
     found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, solids=solids,
                                 progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
-    report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": inputs["silhouettes"],
+    report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": inputs.get("silhouettes", {}),
               **({"shadows": inputs["lights"]} if "lights" in inputs else {})}
     up = upward([view.camera for view in scan.views])
     preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
     write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview,
-                 layers=found.layers, pictures=found.pictures, mesh=found.mesh)
+                 layers=found.layers, pictures=found.pictures, mesh=found.mesh, points=found.points)
     progress(1.0, "Result written")
     return report
 
@@ -133,7 +134,7 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     Returns
     -------
     dict
-        ``volume`` and ``surface``, as the design names them.
+        ``volume`` and ``surface``, as the design names them, and ``points`` where the result has points.
 
     Raises
     ------
@@ -143,7 +144,7 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     values = resolve(EVALUATION_OPTIONS, options or {}, "evaluate")
     result = read_result(folder)
     truth = truth_of(result) if truth is None else truth
-    measures = evaluate(result.volume, result.mesh or result.surface, truth, progress=progress, **values)
+    measures = evaluate(result.volume, result.mesh or result.surface, truth, points=result.points, progress=progress, **values)
     report_section(folder, "evaluation", measures)
     return measures
 

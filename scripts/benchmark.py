@@ -4,7 +4,8 @@
 
     python3 scripts/benchmark.py carve        visual hull: Open3D, a compiled brute force
     python3 scripts/benchmark.py mesh         voxels to a mesh: scikit-image's marching cubes
-    python3 scripts/benchmark.py              both
+    python3 scripts/benchmark.py decode       Gray code: OpenCV's structured_light module
+    python3 scripts/benchmark.py              all
 
 Medians of several runs after a warm-up. Only the ratios mean anything on another machine. It makes an environment of its
 own (without Blender) for the peers, and says which of them were not there.
@@ -28,7 +29,7 @@ VIEWS, SIZE = 24, (640, 480)
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "all"], default="all")
+    parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "decode", "all"], default="all")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--alone", metavar="N", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--dense", action="store_true", help=argparse.SUPPRESS)
@@ -42,6 +43,8 @@ def main():
         compare_carving(call.runs)
     if call.kernel in ("mesh", "all"):
         compare_meshing(call.runs)
+    if call.kernel in ("decode", "all"):
+        compare_decoding(call.runs)
     return 0
 
 
@@ -231,6 +234,53 @@ def compare_meshing(runs):
         print(f"{f'Scanstage, {voxels}^3, {len(surface.quads):,} quads':58} {ours:7.3f}")
         dense = volume.dense()
         row(f"scikit-image marching_cubes, {voxels}^3", median_seconds(lambda d=dense: marching_cubes(d, 0.5), max(1, runs // 2))[0], ours)
+
+
+def compare_decoding(runs):
+    """Decode columns and rows of two cameras from the same pictures, by both programs, and compare every pixel both accept."""
+    import cv2
+    import numpy as np
+
+    from addon.reconstruction.active.gray_code import decode_gray
+
+    size, (width, height) = (1024, 1024), (1280, 720)
+    pictures = gray_pictures(size, width, height)
+    coded, (white, black) = list(pictures.values())[:-2], (pictures["white"], pictures["black"])
+    half = len(coded) // 2
+    pairs = [list(zip(part[::2], part[1::2], strict=True)) for part in (coded[:half], coded[half:])]
+
+    def ours():
+        return [decode_gray(axis, white, black, length=size[0]) for axis in pairs * 2]
+
+    oracle = cv2.structured_light.GrayCodePattern.create(*size)
+    seconds, decoded = median_seconds(ours, runs)
+    started = time.perf_counter()
+    oracle.decode([coded, coded], None, [black, black], [white, white])
+    theirs = time.perf_counter() - started
+    print(f"Gray code, {len(coded)} pictures of {width}x{height}, two cameras\n")
+    print(f"{'':58} seconds    ratio")
+    print(f"{f'Scanstage, {1e9 * seconds / (2 * width * height):.1f} ns a pixel':58} {seconds:7.3f}")
+    row("OpenCV contrib, GrayCodePattern.decode, one run", theirs, seconds)
+    compared = same = 0
+    for y, x in np.argwhere(decoded[0].valid & decoded[1].valid)[::37]:
+        refused, place = oracle.getProjPixel(coded, int(x), int(y))
+        compared += not refused
+        same += not refused and place == (decoded[0].position[y, x], decoded[1].position[y, x])
+    print(f"\n{same} of {compared} pixels that both accept are the same\n")
+
+
+def gray_pictures(size, width, height):
+    """Return 8-bit pictures of a rough surface under a Gray code, with noise, by the patterns' ids."""
+    import numpy as np
+
+    from addon.reconstruction.active.patterns import make_patterns
+
+    random = np.random.default_rng(0)
+    column = np.clip(np.linspace(0, size[0] - 1, width) + random.normal(0, 2, (height, width)), 0, size[0] - 1).astype(int)
+    row = np.clip(np.linspace(0, size[1] - 1, height)[:, None] + random.normal(0, 2, (height, width)), 0, size[1] - 1).astype(int)
+    albedo = random.uniform(0.05, 0.8, (height, width))
+    return {pattern.id: np.clip(15 + albedo * pattern.image[row, column] + random.normal(0, 3, (height, width)), 0, 255).astype(np.uint8)
+            for pattern in make_patterns("gray-code", size)}
 
 
 if __name__ == "__main__":

@@ -4,7 +4,9 @@
 
     python3 scripts/figures.py objects         every built-in object, rendered at 8, 24 and 72 views (minutes)
     python3 scripts/figures.py photographs     two sets of photographs: how well the hull fits their masks
-    python3 scripts/figures.py                 both
+    python3 scripts/figures.py structured-light  Gray code, phase and laser, simulated, and one real scan
+    python3 scripts/figures.py calibration     camera, projector and turntable, rendered (minutes), and photographs of a board
+    python3 scripts/figures.py                 the first two
 
 Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
 SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
@@ -32,7 +34,8 @@ SETS = (  # name, folder, import format, least mean IoU
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs]}
+    tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs],
+              "structured-light": [active], "calibration": [calibration]}
     parser.add_argument("table", nargs="?", choices=tables, default="both")
     call = parser.parse_args()
     return session.run(__file__, lambda bar: int(sum(print_table(bar) for print_table in tables[call.table]) > 0))
@@ -79,6 +82,26 @@ def photographs(bar):
         missed += (seen := report["silhouette_iou"]["mean"]) < least
         bar.close()
         row(name, f"{seen:.4f}", least)
+    return missed
+
+
+def active(bar):
+    """Print the table of structured light and the laser; return how many figures are missed."""
+    from structured_light_figures import structured_light
+
+    return structured_light(bar, table, row)
+
+
+def calibration(bar):
+    """Print the table of calibrations; return how many figures are missed."""
+    from calibration_figures import rows
+
+    table("calibration", "figure", "unit", "target")
+    missed = 0
+    for what, figure, unit, target, met in rows(lambda name: told(bar, name)):
+        missed += not met
+        bar.close()
+        row(what, f"{figure:.3g}", unit, target)
     return missed
 
 

@@ -4,6 +4,7 @@
 
 import os
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +16,19 @@ def empty_scene():
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy.context.scene
+
+
+@pytest.fixture
+def real_captures():
+    """Return a function that gives the folder of a set of real photographs, or skips the test."""
+    root = Path(os.environ.get("SCANSTAGE_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
+
+    def folder(name: str) -> Path:
+        if not (root / name).is_dir():
+            pytest.skip(f"the real captures {name} are not in {root}; set SCANSTAGE_DATA")
+        return root / name
+
+    return folder
 
 
 _status = 0

@@ -13,10 +13,12 @@ from addon import workflow
 from addon.captures.pictures import read_mask
 from addon.captures.store import read_capture, write_capture
 from addon.errors import Cancelled, ScanstageError
+from addon.reconstruction.active.patterns import make_patterns
 from addon.reconstruction.geometry import VoxelGrid
 from addon.results.folder import read_result
 from addon.results.ply import read_ply
-from tests.rigs import Ball, ring, silhouette, sphere_mesh, write_ball_capture
+from tests.projection import write_projected_capture
+from tests.rigs import Ball, camera_at, ring, silhouette, sphere_mesh, write_ball_capture
 
 BALL = Ball((0.1, -0.05, 0.2), 0.6)
 CAMERAS = ring(8, focal=300, size=(240, 180))
@@ -220,3 +222,21 @@ def test_a_result_that_lies_about_its_capture_is_refused(capture, tmp_path, capt
     with pytest.raises(ScanstageError, match="result.json: capture: there is no capture set at") as caught:
         workflow.evaluate_result(tmp_path / "r")
     assert "\n" not in str(caught.value)
+
+
+def test_structured_light_from_a_capture_set_to_measured_points(tmp_path):
+    ball = Ball((0.0, 0.0, 0.0), 0.3)
+    camera = camera_at((0.0, -2.0, 0.3), focal=230.0, size=(160, 120))
+    projector = camera_at((0.7, -1.9, 0.35), focal=180.0, size=(128, 96))
+    write_projected_capture(tmp_path / "set", camera, projector, make_patterns("gray-code", projector.size, {"axes": "columns"}), ball, poses=4)
+    report = workflow.reconstruct(tmp_path / "set", "gray-code", tmp_path / "out", voxels=32)
+    assert report["counts"]["points"] > 5000 and report["counts"]["views"] == 4
+    assert not (tmp_path / "set" / "masks").exists()
+    result = read_result(tmp_path / "out")
+    assert len(result.points) == report["counts"]["points"]
+    for name in ("mesh.ply", "preview.png", "points.ply", "pictures/decoded-00-white.png"):
+        assert (tmp_path / "out" / name).is_file()
+    measures = workflow.evaluate_result(tmp_path / "out")
+    assert measures["points"]["accuracy_90"] < 3 * report["expected_sigma"]
+    assert measures["points"]["completeness"] > 0.4  # from four sides, and hardly from above and below
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["evaluation"]["points"] == measures["points"]

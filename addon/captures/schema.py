@@ -4,6 +4,18 @@
 
 Poses are stored as a calibrated rig knows them: each device's pose in the world as the rig stands, and for each frame
 the motion ``object_to_world`` of the turntable. `Capture.camera_of` turns them into the object frame.
+
+Frames for `calibrate` show the set's ``board`` (columns and rows count squares, lengths are the scene's)::
+
+    "board": {"kind": "charuco", "columns": 10, "rows": 7, "square": 0.03, "marker": 0.022, "dictionary": "5X5_100"},
+    "frames": [{"id": "0001", "board_pose": "free-01", ...}, ...]
+
+``board_pose`` names a place of the board in the object frame. Frames of one name and one ``object_to_world`` show the board
+at rest, whatever is projected: a white picture and a Gray code, say. A board that is moved by hand has a new name at each
+pose; one that stands on the turntable keeps its name while ``object_to_world`` turns. A frame without is of the object. The
+devices of such a set hold what is known beforehand (or the truth, where rendered): of them `calibrate` uses the sizes only,
+and the first camera's pose, which says where the world is. A light is found from `Pencils`, a laser's plane where its pattern
+crosses the board.
 """
 
 from __future__ import annotations
@@ -11,12 +23,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import PurePosixPath
 
 import numpy as np
 
 from ..options import Value
+from ..reconstruction.calibration.board import DICTIONARIES, KINDS, MAX_SQUARES, Board
 from ..reconstruction.geometry import MAX_SKEW_OF_ROTATION, Camera, Light
 from .fields import MAX_NUMBER, Field
 
@@ -48,6 +61,8 @@ class Frame:
         Id of the pattern that is projected.
     mask : str, optional
         Path inside the set of a silhouette that came with the picture.
+    board_pose : str, optional
+        Id of the place in the object frame where the calibration board stands; None where the picture is of the object.
     """
 
     id: str
@@ -57,6 +72,33 @@ class Frame:
     lights: tuple[str, ...] = ()
     pattern: str | None = None
     mask: str | None = None
+    board_pose: str | None = None
+
+
+@dataclass(frozen=True)
+class Pencils:
+    """Marks of pencils that stood on the plane where the board lay, and of their shadows: they tell where a light is.
+
+    Parameters
+    ----------
+    light : str
+        Id of the light, a point or spot.
+    camera : str
+        Id of the camera in whose pictures the marks are.
+    board_pose : str
+        Id of the place of the board whose plane it was.
+    height : float
+        Of the pencils.
+    bases, shadow_tips : (n, 2) arrays
+        Pixels: where each stands, and where its tip's shadow ends.
+    """
+
+    light: str
+    camera: str
+    board_pose: str
+    height: float
+    bases: np.ndarray
+    shadow_tips: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -82,6 +124,9 @@ class Capture:
         Lower and upper corner of the working volume in the object frame.
     truth_mesh : str, optional
         Path inside the set of the true object, in the object frame.
+    board : Board, optional
+        The calibration board that the frames with a ``board_pose`` show.
+    pencils : Pencils, optional
     missing : tuple of str
         Ids of the frames that are not yet rendered.
     generator : str
@@ -98,6 +143,8 @@ class Capture:
     plates: Mapping[str, str] = field(default_factory=dict)
     bounds: np.ndarray | None = None
     truth_mesh: str | None = None
+    board: Board | None = None
+    pencils: Pencils | None = None
     missing: tuple[str, ...] = ()
     generator: str = "scanstage"
 
@@ -119,7 +166,8 @@ def capture_to_dict(capture: Capture) -> dict[str, object]:
                     "lights": {id: _light_to_dict(light) for id, light in capture.lights.items()}},
         "frames": [{"id": frame.id, "image": frame.image, "camera": frame.camera,
                     "object_to_world": np.asarray(frame.object_to_world, float).tolist(),
-                    "lights": list(frame.lights), "pattern": frame.pattern, "mask": frame.mask}
+                    "lights": list(frame.lights), "pattern": frame.pattern, "mask": frame.mask,
+                    "board_pose": frame.board_pose}
                    for frame in capture.frames],
         "patterns": {id: dict(pattern) for id, pattern in capture.patterns.items()},
         "encoding": capture.encoding,
@@ -127,6 +175,9 @@ def capture_to_dict(capture: Capture) -> dict[str, object]:
         "plate": dict(capture.plates) or None,
         "bounds": None if capture.bounds is None else np.asarray(capture.bounds, float).tolist(),
         "truth": None if capture.truth_mesh is None else {"mesh": capture.truth_mesh},
+        "board": None if capture.board is None else asdict(capture.board),
+        "pencils": None if capture.pencils is None else {
+            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(capture.pencils).items()},
         "missing": list(capture.missing),
     }
 
@@ -152,7 +203,7 @@ def capture_from_field(document: Field) -> Capture:
     """
     version = document.value.get("version") if isinstance(document.value, dict) else None
     top = document.object(("format", "version", "devices", "frames", "encoding"),
-                          ("generator", "patterns", "silhouette", "plate", "bounds", "truth", "missing")
+                          ("generator", "patterns", "silhouette", "plate", "bounds", "truth", "board", "pencils", "missing")
                           if version in (None, VERSION) else document.value)
     if top["format"].value != FORMAT:
         raise top["format"].error(f"must be {FORMAT!r}; check that this is a capture set")
@@ -162,7 +213,8 @@ def capture_from_field(document: Field) -> Capture:
     cameras = {id: _camera(item) for id, item in devices["cameras"].mapping().items()}
     lights = {id: _light(item) for id, item in devices["lights"].mapping().items()}
     patterns = {id: _json_object(item) for id, item in top["patterns"].mapping().items()}
-    frames = _frames(top["frames"], cameras, lights, patterns)
+    board = _board(top["board"]) if top["board"].given else None
+    frames = _frames(top["frames"], cameras, lights, patterns, board)
     ids = {frame.id for frame in frames}
     return Capture(
         cameras=cameras, frames=frames, lights=lights, patterns=patterns,
@@ -172,6 +224,8 @@ def capture_from_field(document: Field) -> Capture:
         plates=_plates(top["plate"], cameras),
         bounds=_bounds(top["bounds"]) if top["bounds"].given else None,
         truth_mesh=relative_path(top["truth"].object(("mesh",))["mesh"]) if top["truth"].given else None,
+        board=board,
+        pencils=_pencils(top["pencils"], cameras, lights, frames) if top["pencils"].given else None,
         missing=tuple(item.choice(ids, "a frame") for item in top["missing"].items()),
         generator=top["generator"].text() if top["generator"].given else "unknown")
 
@@ -221,22 +275,52 @@ def _light(item: Field) -> Light:
                  fields["radius"].number(0.0) if fields["radius"].given else 0.0)
 
 
-def _frames(item: Field, cameras: Mapping, lights: Mapping, patterns: Mapping) -> tuple[Frame, ...]:
+def _board(item: Field) -> Board:
+    fields = item.object(("kind", "columns", "rows", "square"), ("marker", "dictionary"))
+    values = {"kind": fields["kind"].choice(KINDS, "a kind of board"), "square": fields["square"].number(0.0)}
+    values |= {name: fields[name].integer(1, MAX_SQUARES) for name in ("columns", "rows")}
+    if fields["marker"].given:
+        values["marker"] = fields["marker"].number(0.0)
+    if fields["dictionary"].given:
+        values["dictionary"] = fields["dictionary"].choice(DICTIONARIES, "a dictionary of markers")
+    try:
+        return Board(**values)
+    except ValueError as error:  # its message begins with the field's name
+        name, _, problem = str(error).partition(" ")
+        raise fields[name].error(f"{problem}; correct the board") from None
+
+
+def _pencils(item: Field, cameras: Mapping, lights: Mapping, frames: tuple[Frame, ...]) -> Pencils:
+    fields = item.object(("light", "camera", "board_pose", "height", "bases", "shadow_tips"))
+    placed = [id for id, light in lights.items() if light.position is not None]
+    poses = {frame.board_pose for frame in frames} - {None}
+    bases, tips = ([place.numbers(2) for place in fields[name].items(1000)] for name in ("bases", "shadow_tips"))
+    if len(bases) != len(tips):
+        raise fields["shadow_tips"].error(f"has {len(tips)} marks and bases {len(bases)}; mark both of each pencil")
+    return Pencils(fields["light"].choice(placed, "a point or spot light of this set"),
+                   fields["camera"].choice(cameras, "a camera of this set"), fields["board_pose"].choice(poses, "a board_pose of a frame"),
+                   fields["height"].number(0.0), np.reshape(bases, (-1, 2)), np.reshape(tips, (-1, 2)))
+
+
+def _frames(item: Field, cameras: Mapping, lights: Mapping, patterns: Mapping, board: Board | None) -> tuple[Frame, ...]:
     frames, seen = [], {}
     for index, entry in enumerate(item.items()):
-        fields = entry.object(("id", "image", "camera"), ("object_to_world", "lights", "pattern", "mask"))
+        fields = entry.object(("id", "image", "camera"), ("object_to_world", "lights", "pattern", "mask", "board_pose"))
         id = fields["id"].text()
         if not FRAME_ID.fullmatch(id):
             raise fields["id"].error(f"{id[:40]!r} cannot be a file's name; use letters, digits and ._-")
         if seen.setdefault(id.casefold(), index) != index:
             raise fields["id"].error(f"{id!r} is also the id of frames[{seen[id.casefold()]}]; make ids unique")
-        motion = fields["object_to_world"]
+        motion, board_pose = fields["object_to_world"], fields["board_pose"]
+        if board_pose.given and board is None:
+            raise board_pose.error("names a place of the board, but the set has none; add board at the top")
         frames.append(Frame(
             id, relative_path(fields["image"]), fields["camera"].choice(cameras, "a camera of this set"),
             _motion(motion) if motion.given else np.eye(4),
             tuple(light.choice(lights, "a light of this set") for light in fields["lights"].items()),
             fields["pattern"].choice(patterns, "a pattern of this set") if fields["pattern"].given else None,
-            relative_path(fields["mask"]) if fields["mask"].given else None))
+            relative_path(fields["mask"]) if fields["mask"].given else None,
+            board_pose.text() if board_pose.given else None))
     if not frames:
         raise item.error("is empty; capture at least one frame")
     return tuple(frames)

@@ -39,6 +39,19 @@ def reconstruction_lines(folder: Path, report: dict) -> list[str]:
     return lines + [f"  warning: {warning}" for warning in report["warnings"]]
 
 
+def calibration_lines(folder: Path, report: dict) -> list[str]:
+    """Return how well each device was calibrated, for a reader."""
+    lines = [f"{folder}: {len(report['devices'])} device(s) calibrated"]
+    for name, device in report["devices"].items():
+        worst = max(device["views"], key=device["views"].get)
+        lines.append(f"  {name:<19} RMS {device['rms']:.3f} px in {len(device['views'])} poses (worst {device['views'][worst]:.3f}, frame "
+                     f"{worst}), focal length {device['K'][0][0]:.2f} +- {device['deviations'][0]:.2f} px")
+    if table := report["turntable"]:
+        error = max(map(abs, table["angle_errors"].values()))
+        lines.append(f"  turntable           {table['poses']} poses, turned by at most {error:.3f} degrees more or less than commanded")
+    return lines + [f"  warning: {warning}" for warning in report["warnings"]]
+
+
 def measure_lines(measures: dict) -> list[str]:
     """Return an evaluation, one measure a line."""
     return [f"  {group + '.' + name:<30} {_number(value)}" for group, found in measures.items() for name, value in found.items()]

@@ -19,9 +19,12 @@ from ..errors import ScanstageError
 from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
+from .active import laser_stripe, structured_light
+from .active.measurement import measured_bounds, points_to_voxels
 from .geometry import VoxelGrid
 from .mesh import TriangleMesh
 from .outcome import Outcome, VoxelLayer
+from .points import PointCloud
 from .scan import Scan
 from .volumetric import polyhedral_hull, shadow_carving, visual_hull
 from .volumetric.coloring import SurfaceColors, color_surface
@@ -46,8 +49,8 @@ class Method:
     Parameters
     ----------
     name, label, description : str
-    needs : tuple of {'silhouettes', 'lights'}
-        What a capture must hold: silhouettes; pictures under single lights.
+    needs : tuple of {'silhouettes', 'lights', 'patterns'}
+        What a capture must hold: silhouettes; pictures under single lights; pictures under projected patterns.
     options : tuple of Option
     function : callable
         ``function(scan, grid, *, progress, **options) -> Outcome``.
@@ -55,6 +58,9 @@ class Method:
         ``bounds(scan, **options) -> (2, 3) array``: the working volume where the user gives none.
     cuts_solids : bool
         Whether the function takes ``solids``, a solver that only Blender has.
+    measure : callable, optional
+        ``measure(scan, *, progress, **options)``: what the method finds before there is a working volume. ``function`` and
+        ``bounds`` then take it as ``measured``.
     """
 
     name: str
@@ -65,6 +71,7 @@ class Method:
     function: Callable[..., Outcome]
     bounds: Callable[..., np.ndarray]
     cuts_solids: bool = False
+    measure: Callable[..., object] | None = None
 
 
 METHODS = {method.name: method for method in (
@@ -75,6 +82,12 @@ METHODS = {method.name: method for method in (
     Method("polyhedral-hull", "Polyhedral Hull", "The visual hull as a polyhedron, exact for the silhouettes' outlines",
            ("silhouettes",), polyhedral_hull.OPTIONS, polyhedral_hull.polyhedral_hull, polyhedral_hull.working_bounds,
            cuts_solids=True),
+    Method("gray-code", "Gray Code", "Points where the camera sees a projector's Gray code, to a column",
+           ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, structured_light.measure_gray_code),
+    Method("phase-shift", "Phase Shift", "Points where the camera sees a projector's sinusoids, to a small part of a column",
+           ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, structured_light.measure_phase_shift),
+    Method("laser-stripe", "Laser Stripe", "Points where the camera sees a stripe, or a point, of light that sweeps over the object",
+           ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, laser_stripe.measure_laser_stripe),
 )}
 
 
@@ -94,6 +107,8 @@ class Reconstruction:
     layers, pictures : mapping
     mesh : TriangleMesh, optional
         As in `Outcome`.
+    points : PointCloud, optional
+        As in `Outcome`.
     """
 
     volume: SparseVolume
@@ -103,6 +118,7 @@ class Reconstruction:
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
     pictures: Mapping[str, np.ndarray] = field(default_factory=dict)
     mesh: TriangleMesh | None = None
+    points: PointCloud | None = None
 
 
 @dataclass
@@ -154,13 +170,17 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     if entry.cuts_solids and solids is None:
         raise ScanstageError(f"method {method} cuts solids with Blender's solver; run it where Blender is, or give `solids`")
     tools = {"solids": solids} if entry.cuts_solids else {}
-    watch = Stopwatch()
+    watch, measured = Stopwatch(), {}
+    if entry.measure is not None:
+        with watch.step("measure"):
+            measured["measured"] = entry.measure(scan, progress=part_of(progress, 0.0, 0.4), **values)
+        progress = part_of(progress, 0.4, 1.0)
     with watch.step("bounds"):
-        box = bounds if bounds is not None else entry.bounds(scan, **values)
+        box = bounds if bounds is not None else entry.bounds(scan, **measured, **values)
         _refuse_too_large(box, voxels, scan)
         grid = _grid(box, voxels)
     with watch.step("carve"):
-        outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **tools, **values)
+        outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **measured, **tools, **values)
     volume, found = outcome.volume, dict(outcome.report)
     with watch.step("surface"):
         surface = outcome.surface or extract_surface(volume)
@@ -179,7 +199,7 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         "silhouette_iou": {"mean": round(float(np.mean(list(ious.values()))), 4) if ious else None, "views": ious},
         "seconds": watch.seconds, "peak_memory": peak_memory(), "warnings": warnings, **found,
     }
-    return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures, outcome.mesh)
+    return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures, outcome.mesh, outcome.points)
 
 
 def _silhouette_ious(surface: Surface, grid: VoxelGrid, scan: Scan, progress: Progress) -> dict[str, float]:

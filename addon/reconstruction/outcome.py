@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .mesh import TriangleMesh
+from .points import PointCloud
 from .volumetric.coloring import SurfaceColors
 from .volumetric.surface import Surface
 from .volumetric.volume import SparseVolume
@@ -56,6 +57,8 @@ class Outcome:
         sRGB, to be looked at.
     mesh : TriangleMesh, optional
         The surface itself, in the object frame, where the method finds it finer than voxels can show.
+    points : PointCloud, optional
+        Where the method measures points; the volume is then made of them.
     """
 
     volume: SparseVolume
@@ -65,6 +68,7 @@ class Outcome:
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
     pictures: Mapping[str, np.ndarray] = field(default_factory=dict)
     mesh: TriangleMesh | None = None
+    points: PointCloud | None = None
 
     def __post_init__(self) -> None:
         if self.colors is not None and (self.surface is None or len(self.colors.rgb) != len(self.surface.voxels)):

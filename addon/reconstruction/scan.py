@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,8 +36,36 @@ class LitPicture:
 
 
 @dataclass(frozen=True)
+class ProjectedPicture:
+    """A picture of a view's own camera and pose, taken while a pattern was projected.
+
+    Parameters
+    ----------
+    name : str
+        The frame's id, for reports.
+    pattern : mapping
+        The pattern's fields (see `active.patterns`), but that a ``plane`` is in the object frame.
+    projector_id : str, optional
+        The projector's id in the capture set.
+    projector : Camera, optional
+        In the object frame. None where the pattern itself says where its light is, as a laser's does.
+    read_image : callable
+        As `View.read_image`.
+    light : Light, optional
+        In the object frame: the frame's only light, such as where a laser's sheet comes from.
+    """
+
+    name: str
+    pattern: Mapping[str, object]
+    projector_id: str | None
+    projector: Camera | None
+    read_image: Callable[[], np.ndarray]
+    light: Light | None = None
+
+
+@dataclass(frozen=True)
 class View:
-    """One captured picture, and those that differ from it by their light only.
+    """One captured picture, and those that differ from it by their light or by what is projected only.
 
     Parameters
     ----------
@@ -57,6 +85,9 @@ class View:
     contours : tuple of (n, 2) array, optional
         The silhouette as closed outlines in the picture's pixels, finer than a mask can be: True is what lies inside an odd
         number of them, so that holes are outlines, too. Methods that work on outlines take them in the mask's place.
+    projected : tuple of ProjectedPicture
+        The same camera and pose under projected patterns. Where every frame has one, the view's own picture is that under
+        white, or else the first, and there is no mask.
     """
 
     name: str
@@ -66,6 +97,7 @@ class View:
     lit: tuple[LitPicture, ...] = ()
     shadows: ShadowMasks | None = None
     contours: tuple[np.ndarray, ...] | None = None
+    projected: tuple[ProjectedPicture, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ rendered it: a render farm that was given the .blend writes the same names.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,12 +54,13 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
     """
     folder = Path(folder)
     plan = plan_of(scene)
-    truth = truth_mesh(scene)
+    truth = truth_mesh(scene) if plan.board is None else None
     planned = _capture(scene, plan)
     if resume:
         _check_same(folder, planned, truth)
     _make_folders(folder, planned)
-    write_ply(folder / TRUTH, *truth, double=True)
+    if truth is not None:
+        write_ply(folder / TRUTH, *truth, double=True)
     sizes = {frame.id: plan.cameras[frame.camera].size for frame in plan.frames}
     missing = [frame.id for frame in planned.frames
                if not (resume and picture_is_whole(folder / frame.image, sizes[frame.id]))]
@@ -79,12 +80,15 @@ def _capture(scene: bpy.types.Scene, plan: CapturePlan) -> Capture:
     return Capture(
         cameras=plan.cameras,
         lights=plan.lights,
-        frames=tuple(Frame(frame.id, f"images/{frame.id}.png", frame.camera, frame.object_to_world, frame.lights)
-                     for frame in plan.frames),
+        frames=tuple(Frame(frame.id, f"images/{frame.id}.png", frame.camera, frame.object_to_world, frame.lights,
+                           frame.pattern, board_pose=frame.board_pose) for frame in plan.frames),
+        projectors=plan.projectors,
+        patterns=plan.patterns,
         encoding="linear",
         silhouette={"silhouette": _silhouette(options.get("backdrop", "none"), with_plates)},
         plates={id: f"plates/{id}.png" for id in plan.cameras} if with_plates else {},
-        truth_mesh=TRUTH)
+        truth_mesh=TRUTH if plan.board is None else None,
+        board=plan.board)
 
 
 def _silhouette(backdrop: str, with_plates: bool) -> str:
@@ -151,13 +155,13 @@ def _make_folders(folder: Path, planned: Capture) -> None:
         raise ScanstageError(f"{folder}: cannot be made a folder ({error.strerror}); choose another") from None
 
 
-def _check_same(folder: Path, planned: Capture, truth: tuple[np.ndarray, np.ndarray]) -> None:
+def _check_same(folder: Path, planned: Capture, truth: tuple[np.ndarray, np.ndarray] | None) -> None:
     """Refuse to mix two captures in one folder."""
     if not is_capture(folder):
         return
     found = read_capture(folder, require_pictures=False)
     difference = _difference(found, planned)
-    if difference is None and (folder / TRUTH).is_file():
+    if difference is None and truth is not None and (folder / TRUTH).is_file():
         known = read_ply(folder / TRUTH)
         difference = None if _close(known.vertices, truth[0]) and np.array_equal(known.triangles, truth[1]) \
             else "another object"
@@ -170,22 +174,35 @@ def _difference(found: Capture, planned: Capture) -> str | None:
     """Return how two plans differ, in words for the user, or None if they are the same."""
     if [frame.id for frame in found.frames] != [frame.id for frame in planned.frames]:
         return f"{len(found.frames)} frames instead of {len(planned.frames)}"
-    if set(found.cameras) != set(planned.cameras) or set(found.lights) != set(planned.lights):
-        return "other cameras or lights"
-    for id, camera in planned.cameras.items():
-        if found.cameras[id].size != camera.size:
+    if found.board != planned.board:
+        return "another calibration board"
+    for kind in ("cameras", "lights", "projectors", "patterns"):
+        if set(getattr(found, kind)) != set(getattr(planned, kind)):
+            return f"other {kind}"
+    for id, device in (*planned.cameras.items(), *planned.projectors.items()):
+        known = found.cameras[id] if id in planned.cameras else found.projectors[id]
+        if known.size != device.size:
             return "another resolution"
-        if not all(_close(getattr(found.cameras[id], name), getattr(camera, name)) for name in ("K", "R", "t")):
+        if not all(_close(getattr(known, name), getattr(device, name)) for name in ("K", "R", "t", "distortion")):
             return f"{id} elsewhere"
+    for id, pattern in planned.patterns.items():
+        if not _same_pattern(found.patterns[id], pattern):
+            return f"another pattern {id}"
     for id, light in planned.lights.items():
         if found.lights[id].kind != light.kind or not _close(found.lights[id].position, light.position):
             return f"{id} elsewhere"
     for mine, theirs in zip(planned.frames, found.frames, strict=True):
         if replace(mine, object_to_world=None) != replace(theirs, object_to_world=None):
-            return f"frame {mine.id} with another camera or light"
+            return f"frame {mine.id} with another camera, light, pattern or pose of the board"
         if not _close(mine.object_to_world, theirs.object_to_world):
             return f"frame {mine.id} at another pose"
     return None
+
+
+def _same_pattern(found: Mapping[str, object], planned: Mapping[str, object]) -> bool:
+    """Return whether two patterns have the same fields; a laser's plane, a measured thing, may differ by rounding."""
+    plain = [{name: value for name, value in pattern.items() if name != "plane"} for pattern in (found, planned)]
+    return plain[0] == plain[1] and _close(*(np.asarray(pattern.get("plane", ()), float) for pattern in (found, planned)))
 
 
 def _close(a: np.ndarray, b: np.ndarray) -> bool:

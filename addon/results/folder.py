@@ -8,6 +8,7 @@
 | ``volume.npz`` | ``occupancy`` bool ``[x, y, z]``, ``origin``, ``voxel_size``, ``surface_voxels`` (s, 3) int32, |
 | | ``surface_colors`` (s, 3) float32 linear, ``surface_views`` (s,) uint16 |
 | | and the layers (see `layers`) |
+| ``points.ply`` | where the method measures points: positions, normals, sRGB colours, ``sigma``, ``view`` |
 | ``mesh.ply`` | the voxels' faces as quads, with sRGB colours at the vertices; where ``result.json`` says ``"mesh": "triangles"``, |
 | | the surface that the method found itself, in triangles |
 | ``preview.png`` | a picture of it |
@@ -34,15 +35,17 @@ from ..reconstruction.color import linear_to_srgb
 from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.mesh import TriangleMesh
 from ..reconstruction.outcome import VoxelLayer
+from ..reconstruction.points import PointCloud
 from ..reconstruction.volumetric.coloring import SurfaceColors
 from ..reconstruction.volumetric.surface import Surface, extract_surface
 from ..reconstruction.volumetric.volume import SparseVolume
 from .layers import layer_arrays, layer_fields, read_layers
 from .npz import AGAIN, check_size, open_volume, write_volume
 from .ply import read_ply, write_ply
+from .point_file import read_points, write_points
 
 FORMAT, VERSION = "scanstage-result", 1
-REPORT, VOLUME, MESH, PREVIEW, PICTURES = "result.json", "volume.npz", "mesh.ply", "preview.png", "pictures"
+REPORT, VOLUME, MESH, PREVIEW, PICTURES, POINTS = "result.json", "volume.npz", "mesh.ply", "preview.png", "pictures", "points.ply"
 _TRIANGLES = "triangles"
 MAX_REPORT = 1 << 24
 _OURS = ("format", "version", "grid", "layers", "mesh")
@@ -66,6 +69,8 @@ class Result:
         What the method says of chosen voxels.
     mesh : TriangleMesh, optional
         The surface, where the method finds it finer than voxels can show.
+    points : PointCloud, optional
+        Of a method that measures points.
     """
 
     folder: Path
@@ -75,6 +80,7 @@ class Result:
     colors: SurfaceColors | None
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
     mesh: TriangleMesh | None = None
+    points: PointCloud | None = None
 
 
 def check_replaceable(folder) -> None:
@@ -103,7 +109,8 @@ def check_replaceable(folder) -> None:
 
 def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: SurfaceColors | None, report: dict,
                  preview: np.ndarray, layers: Mapping[str, VoxelLayer] | None = None,
-                 pictures: Mapping[str, np.ndarray] | None = None, mesh: TriangleMesh | None = None) -> None:
+                 pictures: Mapping[str, np.ndarray] | None = None, mesh: TriangleMesh | None = None,
+                 points: PointCloud | None = None) -> None:
     """Write a result folder, in place of an older result or an empty folder.
 
     Parameters
@@ -122,6 +129,7 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
         By the names of their files, without ending.
     mesh : TriangleMesh, optional
         Written in place of the voxels' faces.
+    points : PointCloud, optional
 
     Raises
     ------
@@ -151,6 +159,8 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
             write_ply(temporary / MESH, surface.vertices, surface.quads, vertex_colors=vertex_colors)
         else:
             write_ply(temporary / MESH, mesh.vertices, mesh.triangles, double=True)
+        if points is not None:
+            write_points(temporary / POINTS, points)
         if pictures:
             (temporary / PICTURES).mkdir()
         for name, data in files.items():
@@ -191,7 +201,8 @@ def read_result(folder) -> Result:
             colors = SurfaceColors(rgb, file.array("surface_views", "<u2", (len(rows),))[rows])
         layers = read_layers(file, report.get("layers", {}), grid, folder / REPORT)
     mesh = read_ply(folder / MESH) if report.get("mesh") == _TRIANGLES else None
-    return Result(folder, report, volume, surface, colors, layers, mesh)
+    points = read_points(folder / POINTS) if (folder / POINTS).exists() else None
+    return Result(folder, report, volume, surface, colors, layers, mesh, points)
 
 
 def report_section(folder, name: str, section: dict) -> None:

@@ -125,14 +125,27 @@ def add_polygon_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, coll
     return added
 
 
+def add_vertices(name: str, positions: np.ndarray, *, collection: bpy.types.Collection, frame=None) -> bpy.types.Object:
+    """Add a mesh of vertices alone, (v, 3) positions in the object frame; an earlier Scanstage result of this name is replaced."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.vertices.add(len(positions))
+    mesh.attributes["position"].data.foreach_set("vector", np.asarray(positions, np.float32).ravel())
+    remove_result(name)
+    return _add_object(name, mesh, collection, frame)
+
+
 def remove_result(name: str) -> None:
     """Remove the Scanstage result ``name`` with its mesh and materials, if there is one and nothing else uses them."""
     found = bpy.data.objects.get(name)
     if found is None or OWNER not in found:
         return
     materials = {slot.material for slot in found.material_slots if slot.material}
+    groups = {modifier.node_group for modifier in found.modifiers if modifier.type == 'NODES' and modifier.node_group}
     mesh = found.data
     bpy.data.objects.remove(found)
+    for group in groups:
+        if OWNER in group and group.users == 0:
+            bpy.data.node_groups.remove(group)
     if mesh.users == 0:
         materials.update(material for material in mesh.materials if material)
         bpy.data.meshes.remove(mesh)

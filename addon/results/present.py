@@ -20,9 +20,10 @@ from .comparison import add_comparison
 from .folder import Result
 from .materials import OWNER
 from .objects import add_polygon_mesh, add_voxel_mesh, remove_result
+from .point_objects import add_points
 
 COLLECTION_NAME = "Scanstage Results"
-RESULT_NAME = "Result"
+RESULT_NAME, POINTS_NAME = "Result", "Result Points"
 _GAP = 0.6  # between the object and the result beside it, in widths of the result
 _SAME = 1e-5  # of the object's size: what single precision may move
 _SHARE_IN_RANGE = 98.0  # percent of the surface whose distance the colour ramp tells apart
@@ -41,7 +42,7 @@ def results_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
 
 
 def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False) -> bpy.types.Object:
-    """Put a result's mesh, or its voxels', into the scene, beside the object; an earlier one is replaced.
+    """Put a result's mesh, or its voxels', into the scene, beside the object, and its points beside that; earlier ones are replaced.
 
     Parameters
     ----------
@@ -61,7 +62,12 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
         remove_result(earlier)  # here and not by name: "Result" may be the user's, or another scene's
     with frame_kept(scene):
         beside = _staged(scene)[0]
-    beside[:3, 3] += [(1 + _GAP) * float(np.ptp(result.surface.vertices[:, 0])), 0, 0]
+    step = [(1 + _GAP) * float(np.ptp(result.surface.vertices[:, 0])), 0, 0]
+    beside[:3, 3] += step
+    if result.points is not None:
+        farther = beside.copy()
+        farther[:3, 3] += step
+        add_points(POINTS_NAME, result.points, collection=home, frame=farther, method=_method(result))
     if result.mesh is not None:
         return add_polygon_mesh(RESULT_NAME, result.mesh.vertices, result.mesh.triangles, collection=home, frame=beside,
                                 method=_method(result), replace=False)

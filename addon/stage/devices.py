@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import bpy
 
@@ -21,6 +21,9 @@ from .materials import Color, matte, screen
 
 BACKDROP_COLORS: dict[str, Color] = {"blue": (0.02, 0.10, 0.80), "black": (0.0, 0.0, 0.0)}
 _PLATTER_COLOR = (0.18, 0.19, 0.21)
+_OUTLINE = "outline"
+_OUTLINE_LENGTH = 0.25
+_DRAWN = "scanstage_drawn"  # a property of an outline's mesh: what it shows
 _OVERLAP = 1.1  # a backdrop reaches this much beyond the picture's edges
 
 
@@ -39,10 +42,19 @@ def add_camera(stage: bpy.types.Collection, number: int, *, focal_length: float,
     return ownership.add(stage, data.name, data, "camera", device=f"camera-{number}")
 
 
+def point(device: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> None:
+    """Put a projector or laser at ``centre`` and let it shine at ``target`` with z upward in its picture; both in the world."""
+    stand(device, *look_at(centre, target))
+
+
+def stand(device: bpy.types.Object, R: np.ndarray, t: np.ndarray) -> None:
+    """Stand a device without a parent where world-to-device ``R`` (3, 3) and ``t`` (3,) say, in OpenCV's axes."""
+    device.matrix_basis = Matrix.LocRotScale(-R.T @ t, Matrix((R.T @ np.diag((1, -1, -1))).tolist()), None)
+
+
 def aim(camera: bpy.types.Object, centre: np.ndarray, target: np.ndarray) -> None:
     """Put a camera at ``centre`` and let it look at ``target`` with z upward in the picture; both in the world."""
-    R, _ = look_at(centre, target)
-    camera.matrix_basis = Matrix.LocRotScale(centre, Matrix((R.T @ np.diag((1, -1, -1))).tolist()), None)
+    point(camera, centre, target)
     distance = float(np.linalg.norm(np.asarray(target) - centre))
     camera.data.clip_start, camera.data.clip_end = distance * 1e-3, distance * 100
     camera.data.display_size = distance * 0.15
@@ -131,3 +143,37 @@ def _backdrop_material(owner: bpy.types.Object, backdrop: str) -> bpy.types.Mate
     owner.visible_diffuse = owner.visible_glossy = owner.visible_transmission = owner.visible_shadow = False
     owner.hide_select = owner.data.name.startswith("Scanstage Backdrop")
     return screen(f"Scanstage {backdrop.title()} Backdrop", BACKDROP_COLORS[backdrop])
+
+
+def add_outline(stage: bpy.types.Collection, owner: bpy.types.Object, kind: str) -> bpy.types.Object:
+    """Add the object that draws what a projector or laser lights, for the viewport only: see `draw_outline`."""
+    drawn = ownership.add(stage, f"{owner.name} {kind}", bpy.data.meshes.new(f"{owner.name} {kind}"), _OUTLINE)
+    drawn.parent, drawn.hide_render, drawn.hide_select = owner, True, True
+    return drawn
+
+
+def draw_outline(owner: bpy.types.Object, optics: Sequence[float], distance: float | None,
+                 lines: Callable[[float], tuple[Sequence, Sequence]]) -> None:
+    """Redraw a device's outline, if it has one and if it is drawn otherwise.
+
+    Parameters
+    ----------
+    owner : bpy.types.Object
+    optics : sequence of float
+        All that the lines depend on, besides the distance.
+    distance : float or None
+        How far the outline reaches; None is as far as it did.
+    lines : callable
+        ``lines(distance)`` returns vertices, in the owner's axes, and edges.
+    """
+    drawn = next((child for child in owner.children if ownership.role_of(child) == _OUTLINE), None)
+    if drawn is None:
+        return
+    known = drawn.data.get(_DRAWN)
+    distance = distance or (known[0] if known else _OUTLINE_LENGTH)
+    wanted = [float(value) for value in (distance, *optics)]
+    if known is None or list(known) != wanted:
+        drawn.data.clear_geometry()
+        drawn.data.from_pydata(*lines(distance), [])
+        drawn.data.update()
+        drawn.data[_DRAWN] = wanted

@@ -74,6 +74,17 @@ def matte(name: str, color: Color) -> bpy.types.Material:
     return material
 
 
+def printed(name: str, image: bpy.types.Image, ink: float, paper: float) -> bpy.types.Material:
+    """Return a new matte material that shows an image in grey: albedo ``ink`` where it is black, ``paper`` where it is white."""
+    material, tree = _new_material(name)
+    place = tree.nodes.new("ShaderNodeTexCoord").outputs["UV"]
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image, texture.interpolation, texture.extension = image, "Linear", "EXTEND"
+    tree.links.new(place, texture.inputs["Vector"])
+    _finish_diffuse(tree, _remapped(tree, texture.outputs["Color"], 0.0, 1.0, ink, paper))
+    return material
+
+
 def screen(name: str, color: Color) -> bpy.types.Material:
     """Return a new material that has one colour from everywhere, and lights nothing."""
     material, tree = _new_material(name)

@@ -102,6 +102,14 @@ def mark(datablock: bpy.types.ID) -> bpy.types.ID:
     return datablock
 
 
+def release(member: bpy.types.Object) -> None:
+    """Make an object, its data and its children the user's own: no stage that goes takes them along."""
+    for owned in (member, *member.children_recursive):
+        for datablock in (owned, owned.data):
+            if datablock is not None and _MARK in datablock:
+                del datablock[_MARK]
+
+
 def is_marked(datablock: bpy.types.ID) -> bool:
     """Return whether staging made the data-block."""
     return _MARK in datablock
@@ -122,6 +130,11 @@ def marking_new() -> Iterator[None]:
 def with_role(stage: bpy.types.Collection, role: str) -> list[bpy.types.Object]:
     """Return the stage's objects of one role, in the order of their names."""
     return sorted((o for o in stage.all_objects if o.get(_ROLE) == role), key=lambda o: o.name)
+
+
+def role_of(member: bpy.types.Object) -> str | None:
+    """Return the role of an object of the stage, or None of what is the user's."""
+    return member.get(_ROLE)
 
 
 def device_id(device: bpy.types.Object) -> str:

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import bpy
 
 from ..options import Option, Value
-from . import shadow_array, turntable
+from . import calibration, gray_code, laser_scanner, phase_shift, shadow_array, stereo_pair, turntable
 from .objects import Subject
 
 Build = Callable[[bpy.types.Scene, bpy.types.Collection, Subject, Mapping[str, Value]], None]
@@ -48,4 +48,13 @@ PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset
            turntable.OPTIONS, turntable.build),
     Preset("shadow-array", "Shadow Array", "A turning table before one camera, or several, with an array of lights round each",
            shadow_array.OPTIONS, shadow_array.build),
+    Preset("stereo-pair", "Stereo Pair", "A turning table before two cameras side by side", stereo_pair.OPTIONS, stereo_pair.build),
+    Preset("laser-scanner", "Laser Scanner", "A turning table before a camera, with a laser line that sweeps over the object",
+           laser_scanner.OPTIONS, laser_scanner.build),
+    Preset("gray-code", "Gray Code", "A turning table before a camera and a projector of black and white stripes",
+           gray_code.OPTIONS, gray_code.build),
+    Preset("phase-shift", "Phase Shift", "A turning table before a camera and a projector of sinusoids",
+           phase_shift.OPTIONS, phase_shift.build),
+    Preset("calibration", "Calibration", "A board in many poses before a camera and a projector, then on the turning table; no object",
+           calibration.OPTIONS, calibration.build),
 )})

@@ -7,17 +7,24 @@ The scene is the only source: what the user moves, keys or adds after staging is
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import bpy
 import numpy as np
 
 from ..errors import ScanstageError
+from ..reconstruction.calibration.board import Board
 from ..reconstruction.geometry import Camera, Light
 from . import ownership
+from .board import board_of
 from .evaluated import render_mesh
+from .laser import is_laser, laser_fields
+from .projection import pattern_of
+from .projector import is_projector, optics_of
 from .timeline import light_is_on
 
 _TO_OPENCV = np.diag((1.0, -1.0, -1.0))  # Blender's cameras look along -z with y up
@@ -38,12 +45,18 @@ class PlannedFrame:
         Where the object frame stands in the world: rigid.
     lights : tuple of str
         Ids of the lights that are on.
+    pattern : str, optional
+        Id of the pattern that is projected.
+    board_pose : str, optional
+        Id of the place where the calibration board stands; None where there is no board.
     """
 
     number: int
     camera: str
     object_to_world: np.ndarray
     lights: tuple[str, ...]
+    pattern: str | None = None
+    board_pose: str | None = None
 
     @property
     def id(self) -> str:
@@ -61,11 +74,20 @@ class CapturePlan:
         In the world. A camera object that moves during the plan is one device for each of its poses.
     lights : mapping of str to Light
     frames : tuple of PlannedFrame
+    projectors : mapping of str to Camera
+        In the world; those that shine in any frame. One that moves is one device for each of its poses, as a camera is.
+    patterns : mapping of str to mapping
+        What each pattern is, in the fields of `addon.reconstruction.active.patterns`, with the id of its ``projector``.
+    board : Board, optional
+        The calibration board that the frames show.
     """
 
     cameras: Mapping[str, Camera]
     lights: Mapping[str, Light]
     frames: tuple[PlannedFrame, ...]
+    projectors: Mapping[str, Camera] = field(default_factory=dict)
+    patterns: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    board: Board | None = None
 
 
 def camera_of(scene: bpy.types.Scene, camera_object: bpy.types.Object) -> Camera:
@@ -108,6 +130,27 @@ def camera_of(scene: bpy.types.Scene, camera_object: bpy.types.Object) -> Camera
     return Camera(K, R, -R @ world[:3, 3], (width, height))
 
 
+def projector_of(scene: bpy.types.Scene, projector_object: bpy.types.Object) -> Camera:
+    """Return a projector as it stands in the world at the present frame: the camera that it is, run backwards.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        For the error message; a projector's picture is its own.
+    projector_object : bpy.types.Object
+
+    Raises
+    ------
+    ScanstageError
+        It is no projector.
+    """
+    if not is_projector(projector_object):
+        raise ScanstageError(f"{projector_object.name!r} in scene {scene.name!r} is not a projector: add one, or build a rig with one")
+    world = np.array(projector_object.matrix_world)
+    R = _TO_OPENCV @ _rotation(world).T
+    return replace(optics_of(projector_object.data), R=R, t=-R @ world[:3, 3])
+
+
 def light_of(light_object: bpy.types.Object) -> Light:
     """Return a light as it stands in the world at the present frame.
 
@@ -131,12 +174,12 @@ def plan_of(scene: bpy.types.Scene) -> CapturePlan:
     Raises
     ------
     ScanstageError
-        The scene has no stage, a frame has no camera, or a device cannot be described.
+        The scene has no stage, a frame has no camera or several patterns at once, or a device cannot be described.
     """
     if scene != bpy.context.scene:
         raise ValueError("only the context's scene is evaluated: the plan of another cannot be read")
-    turntable = turntable_of(scene)
-    cameras, lights, frames = _Devices(), _Devices(), []
+    turntable, board = turntable_of(scene), _board(scene)
+    cameras, lights, projectors, patterns, places, frames = *(_Devices() for _ in range(5)), []
     with frame_kept(scene):
         for number in range(scene.frame_start, scene.frame_end + 1, scene.frame_step):
             scene.frame_set(number)
@@ -144,8 +187,9 @@ def plan_of(scene: bpy.types.Scene) -> CapturePlan:
                 raise ScanstageError(f"frame {number} of scene {scene.name!r} has no camera: set the scene's camera")
             camera = cameras.id_of(scene.camera, camera_of(scene, scene.camera))
             lit = tuple(lights.id_of(o, light_of(o)) for o in _lights_on(scene))
-            frames.append(PlannedFrame(number, camera, _rigid(turntable), lit))
-    return CapturePlan(cameras.found, lights.found, tuple(frames))
+            place = None if board is None else places.id_by_name("pose", board, np.array(board.matrix_basis).tobytes())
+            frames.append(PlannedFrame(number, camera, _rigid(turntable), lit, _shown(scene, projectors, patterns), place))
+    return CapturePlan(cameras.found, lights.found, tuple(frames), projectors.found, patterns.found, board and board_of(board))
 
 
 def truth_mesh(scene: bpy.types.Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -207,27 +251,54 @@ def frame_kept(scene: bpy.types.Scene) -> Iterator[None]:
 
 
 class _Devices:
-    """Gives each device that the plan meets an id, and another one wherever it has moved."""
+    """Gives each device, or pattern, that the plan meets an id, and another one wherever it has changed."""
 
     def __init__(self) -> None:
-        self.found: dict[str, Camera | Light] = {}
+        self.found: dict[str, Any] = {}
         self._ids: dict[tuple[str, bytes], str] = {}
+        self._counts: dict[str, int] = {}
 
     def id_of(self, owner: bpy.types.Object, device: Camera | Light) -> str:
-        name = ownership.device_id(owner)
-        key = name, b"".join(np.asarray(value).tobytes() for value in vars(device).values())
-        if key not in self._ids:
-            id, count = name, 1
+        """Return the id of an object's device."""
+        return self.id_by_name(ownership.device_id(owner), device, b"".join(np.asarray(value).tobytes() for value in vars(device).values()))
+
+    def id_by_name(self, name: str, entry: object, content: bytes) -> str:
+        """Return the name, with a number where other content has it already."""
+        if (name, content) not in self._ids:
+            id = name
             while id in self.found:
-                count += 1
-                id = f"{name}-{count}"
-            self._ids[key], self.found[id] = id, device
-        return self._ids[key]
+                self._counts[name] = self._counts.get(name, 1) + 1
+                id = f"{name}-{self._counts[name]}"
+            self._ids[name, content], self.found[id] = id, entry
+        return self._ids[name, content]
+
+
+def _board(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    boards = [member for member in ownership.with_role(ownership.require_stage(scene), "board") if not member.hide_render]
+    return boards[0] if boards else None
+
+
+def _emitting(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    return sorted((o for o in scene.objects if o.type == "LIGHT" and not o.hide_render), key=lambda o: o.name)
 
 
 def _lights_on(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    lights = (o for o in scene.objects if o.type == "LIGHT" and not o.hide_render)
-    return sorted((o for o in lights if light_is_on(o.data)), key=lambda o: o.name)
+    return [o for o in _emitting(scene) if not is_projector(o) and light_is_on(o.data)]
+
+
+def _shown(scene: bpy.types.Scene, projectors: _Devices, patterns: _Devices) -> str | None:
+    """Return the id of the pattern that lies on the scene at the present frame."""
+    shown = []
+    for source in _emitting(scene):
+        if is_projector(source) and (pattern := pattern_of(source.data, scene.frame_current)) is not None:
+            id, fields = pattern
+            shown.append((source, id, {**fields, "projector": projectors.id_of(source, projector_of(scene, source))}))
+        elif is_laser(source) and light_is_on(source.data):
+            shown.append((source, ownership.device_id(source), laser_fields(source)))
+    if len(shown) > 1:
+        raise ScanstageError(f"frame {scene.frame_current} of scene {scene.name!r}: {shown[0][0].name!r} and {shown[1][0].name!r} shine at "
+                             "once, which no decoder can tell apart: let one of them be dark")
+    return patterns.id_by_name(shown[0][1], shown[0][2], json.dumps(shown[0][2], sort_keys=True).encode()) if shown else None
 
 
 def _rotation(world: np.ndarray) -> np.ndarray:

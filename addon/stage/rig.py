@@ -39,7 +39,7 @@ _MARGIN = 0.06  # of the picture, kept free on each side
 
 
 def apply_settings(scene: bpy.types.Scene, options: Mapping[str, Value], *, frames: int, transparent: bool,
-                   persistent: bool = False) -> None:
+                   persistent: bool = False, bounces: int = 0) -> None:
     """Give the scene a dark world, the pictures' size and a timeline of ``frames`` frames.
 
     Parameters
@@ -53,10 +53,14 @@ def apply_settings(scene: bpy.types.Scene, options: Mapping[str, Value], *, fram
     persistent : bool
         Whether the renderer keeps the geometry from frame to frame: pays only where neighbouring frames differ by a camera
         or by a Value node, not where the object turns in each.
+    bounces : int
+        How many matte surfaces light may meet between the first and the camera. Above 0, pictures at few samples are noisy.
     """
     scene.world = devices.dark_world()
     scene_settings.apply(scene, {
         "cycles.samples": options["samples"],
+        "cycles.max_bounces": bounces,
+        "cycles.diffuse_bounces": bounces,
         "render.film_transparent": transparent,
         "render.filepath": "//capture/images/",  # with the frame's number: what `capture` calls its pictures
         "render.resolution_x": options["resolution_x"],
@@ -110,11 +114,14 @@ def place_cameras(scene: bpy.types.Scene, cameras: Sequence[bpy.types.Object], e
         raise ScanstageError(f"option distance: {distance:g} m puts the camera inside the object, which reaches "
                              f"{reach:g} m from its middle; use more, or 0 for automatic")
     for camera, elevation in zip(cameras, elevations, strict=True):
-        # From the front, which in Blender is -y.
-        offset = distance * np.array([0.0, -math.cos(elevation), math.sin(elevation)])
-        devices.aim(camera, table + middle + offset, table + middle)
+        devices.aim(camera, table + middle + offset_of(distance, elevation), table + middle)
     bpy.context.view_layer.update()  # parts are fitted to the cameras' world matrices
     return distance
+
+
+def offset_of(distance: float, elevation: float, azimuth: float = 0.0) -> np.ndarray:
+    """Return the (3,) way from the object's middle to a device: from the front, which in Blender is -y, then to the right."""
+    return distance * np.array([math.sin(azimuth) * math.cos(elevation), -math.cos(azimuth) * math.cos(elevation), math.sin(elevation)])
 
 
 def middle_of(points: np.ndarray) -> np.ndarray:

@@ -18,9 +18,6 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
     "cycles.use_adaptive_sampling": False,
     "cycles.use_denoising": False,
     "cycles.use_fast_gi": False,
-    # Direct light only: a diffuse bounce would be noise at one sample and colour every silhouette's neighbourhood.
-    "cycles.max_bounces": 0,
-    "cycles.diffuse_bounces": 0,
     "cycles.glossy_bounces": 0,
     "cycles.transmission_bounces": 0,
     "cycles.volume_bounces": 0,
@@ -63,6 +60,9 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
 # What a preset decides for its scene, besides the table above.
 STAGE_SETTINGS = (
     "cycles.samples",
+    # None for most: a diffuse bounce is noise at one sample and colours every silhouette's neighbourhood.
+    "cycles.max_bounces",
+    "cycles.diffuse_bounces",
     "render.film_transparent",
     "render.filepath",
     "render.resolution_x",

@@ -63,6 +63,12 @@ def switch_light(light: bpy.types.Light, strengths: Sequence[float], *, start: i
     keyframe_steps(tree, f'nodes["{SWITCH}"].outputs[0].default_value', strengths, start=start)
 
 
+def keyframe_value(tree: bpy.types.NodeTree, name: str, values: Sequence[float], *, start: int = 1) -> None:
+    """Give a Value node, known by its name, one number a frame."""
+    tree.nodes[name].outputs[0].default_value = values[0]
+    keyframe_steps(tree, f'nodes["{name}"].outputs[0].default_value', values, start=start)
+
+
 def light_is_on(light: bpy.types.Light) -> bool:
     """Return whether a light shines at the present frame."""
     node = light.node_tree.nodes.get(SWITCH) if light.node_tree else None

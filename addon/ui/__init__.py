@@ -6,9 +6,10 @@
 - `jobs`: long work as steps, with progress, Esc and a thread for what never touches Blender.
 - `operators`: adapters: gather what is set, call a function, report.
 - `panels`: draw, and nothing else.
+- `devices`: projectors and lasers by hand.
 """
 
-from . import operators, panels, properties
+from . import devices, operators, panels, properties
 
 
 def register() -> None:
@@ -16,10 +17,12 @@ def register() -> None:
     properties.register()
     operators.register()
     panels.register()
+    devices.register()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse."""
+    devices.unregister()
     panels.unregister()
     operators.unregister()
     properties.unregister()

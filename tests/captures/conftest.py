@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small valid capture set, as a document and on disk, and the folder of real captures."""
+"""A small valid capture set, as a document and on disk."""
 
 import copy
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +23,15 @@ DOCUMENT = {
                 "lights": {"lamp": {"kind": "spot", "position": [1, 2, 3], "direction": [0, 0, -1], "radius": 0.01},
                            "sun": {"kind": "sun", "position": None, "direction": [0, 0, -1], "radius": 0}}},
     "frames": [{"id": "0001", "image": "images/0001.png", "camera": "left", "object_to_world": np.eye(4).tolist(),
-                "lights": ["lamp"], "pattern": None, "mask": None},
+                "lights": ["lamp"], "pattern": None, "mask": None, "board_pose": None},
                {"id": "0002", "image": "images/0002.png", "camera": "left", "object_to_world": QUARTER_TURN,
-                "lights": ["lamp", "sun"], "pattern": "stripes", "mask": "given/0002.png"}],
+                "lights": ["lamp", "sun"], "pattern": "stripes", "mask": "given/0002.png", "board_pose": "by hand 1"}],
     "patterns": {"stripes": {"kind": "gray-code", "bit": 3}},
     "encoding": "srgb", "silhouette": {"silhouette": "threshold", "threshold": 0.3}, "plate": {"left": "plates/left.png"},
     "bounds": [[-1, -1, 0], [1, 1, 2]], "truth": {"mesh": "truth.ply"}, "missing": ["0002"],
+    "board": {"kind": "charuco", "columns": 10, "rows": 7, "square": 0.03, "marker": 0.022, "dictionary": "4X4_50"},
+    "pencils": {"light": "lamp", "camera": "left", "board_pose": "by hand 1", "height": 0.13, "bases": [[1.0, 2.5], [3.0, 4.0]],
+                "shadow_tips": [[5.0, 2.0], [6.5, 3.0]]},
 }
 
 
@@ -42,7 +44,7 @@ def document() -> dict:
 @pytest.fixture
 def capture_folder(tmp_path, document) -> Path:
     """A whole capture set of two frames: a bright square on black, with a mask, a plate and a truth."""
-    document["missing"] = []
+    document["missing"], document["frames"][1]["board_pose"], document["pencils"] = [], None, None
     picture = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
     picture[2:4, 3:6] = 0.8
     for name in ("images/0001.png", "images/0002.png", "given/0002.png"):
@@ -51,16 +53,3 @@ def capture_folder(tmp_path, document) -> Path:
     (tmp_path / "truth.ply").write_bytes(b"ply\n")
     (tmp_path / "capture.json").write_text(json.dumps(document))
     return tmp_path
-
-
-@pytest.fixture
-def real_captures():
-    """Return a function that gives the folder of a set of real photographs, or skips the test."""
-    root = Path(os.environ.get("SCANSTAGE_DATA", Path(__file__).parents[2] / ".." / "shared" / "data"))
-
-    def folder(name: str) -> Path:
-        if not (root / name).is_dir():
-            pytest.skip(f"the real captures {name} are not in {root}; set SCANSTAGE_DATA")
-        return root / name
-
-    return folder

@@ -36,7 +36,7 @@ def test_a_document_with_every_field_survives_the_round_trip(document):
 
 
 def test_what_may_be_absent_has_its_default(document):
-    for name in ("generator", "patterns", "silhouette", "plate", "bounds", "truth", "missing"):
+    for name in ("generator", "patterns", "silhouette", "plate", "bounds", "truth", "missing", "board", "pencils"):
         del document[name]
     del document["devices"]["projectors"], document["devices"]["lights"]
     document["frames"] = [{"id": "a", "image": "a.png", "camera": "left"}]
@@ -133,6 +133,19 @@ BAD = {
     "plate outside": (("plate", "left"), "../x.png", "plate.left: .* leaves the capture set"),
     "flat bounds": (("bounds", 1, 2), 0, "bounds: has no volume"),
     "bounds of text": (("bounds", 1, 2), "x", r"bounds\[1\]\[2\]: must be a number"),
+    "board of another kind": (("board", "kind"), "circles", "board.kind: 'circles' is not a kind of board"),
+    "board without size": (("board", "rows"), DELETE, "board.rows: is missing"),
+    "board too narrow": (("board", "columns"), 3, "board.columns: must be from 4 to 50 squares"),
+    "board without markers": (("board", "marker"), DELETE, "board.marker: must be a length less than the square's"),
+    "board of unknown markers": (("board", "dictionary"), "3X3_10", "board.dictionary: '3X3_10' is not a dictionary"),
+    "board of too few markers": (("board", "rows"), 11, "board.dictionary: 4X4_50 has 50 markers, and the board needs 55"),
+    "pose of no board": (("board",), DELETE, r"frames\[1\].board_pose: names a place of the board, but the set has none"),
+    "pose a number": ((*FRAME, "board_pose"), 3, r"frames\[1\].board_pose: must be a text"),
+    "pencils of a sun": (("pencils", "light"), "sun", "pencils.light: 'sun' is not a point or spot light of this set"),
+    "pencils at no pose": (("pencils", "board_pose"), "2", "pencils.board_pose: '2' is not a board_pose of a frame"),
+    "pencils without shadow": (("pencils", "shadow_tips"), [[1.0, 2.0]], "pencils.shadow_tips: has 1 marks and bases 2"),
+    "pencils below ground": (("pencils", "height"), -1, "pencils.height: must be a number from 0"),
+    "pencils in space": (("pencils", "bases", 0), [1, 2, 3], r"pencils.bases\[0\]: must have 2 entries"),
     "truth outside": (("truth", "mesh"), "/truth.ply", "truth.mesh: .* leaves the capture set"),
     "missing unknown": (("missing",), ["0009"], r"missing\[0\]: '0009' is not a frame"),
 }

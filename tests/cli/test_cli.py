@@ -18,9 +18,11 @@ from addon.cli import main
 from addon.cli.progress_bar import ProgressBar, drain
 from addon.cli.verbs import VERBS
 from addon.errors import Cancelled, ScanstageError
+from addon.reconstruction.calibration.board import Board
 from addon.reconstruction.methods import METHODS
 from addon.results.folder import read_result
 from addon.results.meshes import read_mesh
+from tests.boards import device, spread_poses, write_board_capture
 from tests.rigs import Ball, ring, write_ball_capture
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "scanstage.py"
@@ -101,6 +103,19 @@ def test_a_mistake_of_ours_is_not_dressed_up_as_the_users(reconstruct, monkeypat
     monkeypatch.setattr("addon.cli.verbs.reconstruct", lambda *args, **kwargs: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         reconstruct()
+
+
+def test_a_calibration_says_how_good_each_device_is_and_what_is_weak(run, tmp_path):
+    board, camera = Board("checkerboard", 8, 5, 0.03), device(430, (400, 300))
+    poses = spread_poses(board, np.random.default_rng(4), 4, nearest=0.45, furthest=0.55)
+    write_board_capture(tmp_path / "before", board, camera, None, poses)
+    status, out, _ = run("calibrate", tmp_path / "before", "--out", tmp_path / "after", "--quiet", "--report", tmp_path / "report.json")
+    first, of_camera, *warnings = out.splitlines()
+    assert status == 0 and first == f"{tmp_path / 'after'}: 1 device(s) calibrated"
+    assert of_camera.startswith("  camera cam          RMS 0.") and "in 4 poses" in of_camera
+    assert warnings[0] == "  warning: camera cam: only 4 poses of the board; take 10 to 20"
+    kept = json.loads((tmp_path / "report.json").read_text())
+    assert kept["devices"] == json.loads((tmp_path / "after/calibration/report.json").read_text())["devices"]
 
 
 # --- what goes where ---------------------------------------------------------------------------------------------------------
@@ -197,6 +212,7 @@ def test_methods_lists_every_option_with_default_unit_and_choices(run, tmp_path)
             assert listed[option.name]["choices"] == list(option.choices or ())
             assert all(f"      {choice}: {meaning}\n" in out for choice, meaning in (option.choices or {}).items())
     assert "  chroma_angle = 12 degrees: " in out  # 0.209 in the code
+    listed = {option["name"]: option for option in report["visual-hull"]["options"]}
     assert listed["chroma_angle"]["default"] == "12 degrees" and listed["chroma_angle"]["unit"] == "degrees"
 
 
@@ -365,3 +381,11 @@ def test_ctrl_c_is_130_and_leaves_no_result(capture, tmp_path):
     status, out, error = finished(process)
     assert (status, out) == (130, "") and error.splitlines()[-1].startswith("scanstage: interrupted")
     assert not list(tmp_path.iterdir())
+
+
+def test_patterns_writes_pictures_for_a_real_projector(run, tmp_path):
+    status, out, _ = run("patterns", "gray-code", "--out", tmp_path / "shown", "--size", 32, 16, "--set", "axes=columns", "--quiet")
+    assert status == 0 and out == f"{tmp_path / 'shown'}: 12 patterns of gray-code\n"
+    assert len(list((tmp_path / "shown").glob("pattern-*.png"))) == 12
+    status, _, err = run("patterns", "grey-code", "--out", tmp_path / "other", "--quiet")
+    assert status == 1 and "there is no pattern set 'grey-code'" in err and not (tmp_path / "other").exists()

@@ -14,6 +14,7 @@ import pytest
 from addon.errors import ScanstageError
 from addon.reconstruction.color import linear_to_srgb
 from addon.reconstruction.geometry import VoxelGrid
+from addon.reconstruction.points import PointCloud
 from addon.reconstruction.volumetric.coloring import SurfaceColors
 from addon.reconstruction.volumetric.surface import extract_surface
 from addon.reconstruction.volumetric.volume import EMPTY, SparseVolume
@@ -55,6 +56,15 @@ def test_a_result_comes_back_as_it_went(folder, parts):
     assert (result.report["format"], result.report["version"]) == ("scanstage-result", 1)
     np.testing.assert_array_equal(cv2.imread(str(folder / "preview.png"))[..., ::-1], PREVIEW)
     assert sorted(path.name for path in folder.parent.iterdir()) == ["hull"]
+
+
+def test_a_result_of_a_method_that_measures_points_keeps_them(tmp_path, parts):
+    cloud = PointCloud(np.eye(3), np.eye(3), np.zeros((3, 3)), np.full(3, 0.25), np.arange(3))
+    write_result(tmp_path / "out", **parts, points=cloud)
+    assert (tmp_path / "out" / "points.ply").is_file()
+    np.testing.assert_array_equal(read_result(tmp_path / "out").points.positions, np.eye(3))
+    write_result(tmp_path / "out", **parts)
+    assert read_result(tmp_path / "out").points is None
 
 
 def test_numpy_reads_the_volume_without_pickle(folder, parts):

@@ -13,6 +13,7 @@ from addon.errors import ScanstageError
 from addon.reconstruction.evaluation import inside
 from addon.reconstruction.geometry import VoxelGrid
 from addon.reconstruction.mesh import TriangleMesh
+from addon.reconstruction.points import PointCloud
 from addon.reconstruction.volumetric.coloring import SurfaceColors
 from addon.reconstruction.volumetric.surface import extract_surface
 from addon.reconstruction.volumetric.volume import SparseVolume
@@ -50,6 +51,13 @@ def staged(empty_scene):
 @pytest.fixture
 def found(staged, tmp_path):
     return result_of(TriangleMesh(*truth_mesh(staged)), tmp_path / "result")
+
+
+def points_of(result: Result) -> PointCloud:
+    """Return a point at every surface voxel."""
+    positions = result.volume.grid.centres(result.surface.voxels)
+    count = len(positions)
+    return PointCloud(positions, np.tile((0.0, 0.0, 1.0), (count, 1)), np.full((count, 3), 0.5), np.zeros(count), np.zeros(count))
 
 
 def placed(target) -> np.ndarray:
@@ -230,3 +238,17 @@ def test_the_legend_reaches_as_far_as_nearly_all_errors_and_is_round(staged, fou
     row = show_comparison(staged, found, TriangleMesh(*truth_mesh(staged)), np.full(len(found.surface.quads), 0.0234))
     words = {member.data.body for member in row.objects if member.type == 'FONT'}
     assert {"30 mm", "0", "\u221230 mm"} <= words
+
+
+def test_measured_points_stand_beside_their_voxels_and_go_with_them(staged, found):
+    before = inventory()
+    show_result(staged, replace(found, points=points_of(found)))
+    home = results_collection(staged)
+    voxels, points = (next(member for member in home.objects if member.name == name) for name in ("Result", "Result Points"))
+    assert len(points.data.vertices) == len(found.surface.voxels)
+    apart = placed(points).mean(axis=0) - placed(voxels).mean(axis=0)
+    width = np.ptp(found.surface.vertices[:, 0])
+    assert apart[0] > width and np.abs(apart[1:]).max() < 0.1 * width
+    show_result(staged, found)
+    assert [member.name for member in home.objects] == ["Result"]
+    assert inventory()["node_groups"] == before["node_groups"]

@@ -8,8 +8,6 @@ the copy of the pictures, and that the set appears whole or not at all.
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,10 +16,12 @@ from ...errors import ScanstageError
 from ...options import Option, Value, resolve
 from ...progress import Progress, silent
 from ...reconstruction.silhouettes import SILHOUETTE_OPTIONS
+from ..placing import check_place, put_in_place
 from ..schema import Capture
-from ..store import is_capture, write_capture
+from .board import BOARD_OPTIONS, read_board
 from .middlebury import MIDDLEBURY_OPTIONS, read_middlebury
 from .opencv import read_opencv
+from .slstudio import read_slstudio
 from .sources import Import
 
 
@@ -60,6 +60,10 @@ IMPORTERS = {importer.name: importer for importer in (
              "The folder of a Middlebury multi-view stereo set, or its *_par.txt", MIDDLEBURY_OPTIONS, read_middlebury),
     Importer("opencv", "OpenCV FileStorage",
              "An XML, YAML or JSON file of OpenCV's with a P, or K R t, for each picture beside it", (), read_opencv),
+    Importer("board", "Calibration board", "A folder of pictures of a calibration board before one camera, to be calibrated",
+             BOARD_OPTIONS, read_board),
+    Importer("slstudio", "SLStudio", "The calibration of a camera and a projector (Kc kc Kp kp Rp Tp) with the frames of a Gray-code scan",
+             (), read_slstudio),
 )}
 
 
@@ -96,46 +100,9 @@ def import_capture(format: str, source: Path, out: Path, options: Mapping[str, V
     resolved = resolve(importer.options + COMMON_OPTIONS + SILHOUETTE_OPTIONS, given, f"import {format}")
     if not source.exists():
         raise ScanstageError(f"{source}: is not there; give the {format} source's path")
-    _check_target(source, out)
+    check_place(source, out)
     found = importer.function(source, **{option.name: resolved[option.name] for option in importer.options})
     capture = replace(found.capture, encoding=resolved["encoding"], generator=f"scanstage import {format}", silhouette={
         **found.capture.silhouette, **{name: resolved[name] for name in given if name in silhouette_names}})
-    _put_in_place(capture, found.pictures, out, progress)
+    put_in_place(capture, found.pictures, out, progress)
     return capture
-
-
-def _check_target(source: Path, out: Path) -> None:
-    if out.exists() and not out.is_dir():
-        raise ScanstageError(f"{out}: is a file; give the name of a folder to make")
-    if out.is_dir() and any(out.iterdir()):
-        if not is_capture(out):
-            raise ScanstageError(f"{out}: holds files that are no capture set; give an empty or a new folder")
-        if source.resolve().is_relative_to(out.resolve()):
-            raise ScanstageError(f"{out}: holds the source and would be replaced; give another folder")
-
-
-def _put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, progress: Progress) -> None:
-    """Write the set beside ``out`` and then give it that name."""
-    out = out.resolve()
-    staged, old = (out.with_name(f".{out.name}.{os.getpid()}.{kind}") for kind in ("new", "old"))
-    try:
-        staged.mkdir(parents=True)
-        for step, (relative, picture) in enumerate(pictures.items()):
-            progress(step / len(pictures), f"Copying {picture.name}")
-            target = staged / relative
-            target.parent.mkdir(exist_ok=True)
-            shutil.copyfile(picture, target)
-        write_capture(staged, capture)
-        if out.exists():
-            os.replace(out, old)
-        os.replace(staged, out)
-        progress(1.0, f"Imported {len(pictures)} pictures")
-    except OSError as error:
-        if old.exists() and not out.exists():
-            os.replace(old, out)
-        raise ScanstageError(f"{out}: cannot be written ({error.strerror}); "
-                             f"check the disk space and the rights of {out.parent}") from None
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
-        if out.exists():
-            shutil.rmtree(old, ignore_errors=True)

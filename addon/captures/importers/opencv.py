@@ -52,15 +52,15 @@ def read_opencv(source: Path) -> Import:
     ScanstageError
         The file cannot be read, a matrix is not what it must be, or a picture is not there.
     """
-    path = _calibration(source)
-    storage = _open(path)  # kept while its nodes are used: they point into it
+    path = calibration_file(source)
+    storage = open_storage(path)  # kept while its nodes are used: they point into it
     root = storage.root()
     pictures = [item for item in sorted(path.parent.iterdir()) if item.suffix.lower() in SUFFIXES]
     shared = _matrices(root, path.name)
     shared = {name: shared[name] for name in ("K", "distortion") if name in shared}
     found = []
     for name, node in _nodes(root, path.name):
-        matrices = {"P": _matrix(node, f"{path.name}: {name}")} if _is_matrix(node) \
+        matrices = {"P": read_matrix(node, f"{path.name}: {name}")} if _is_matrix(node) \
             else {**shared, **_matrices(node, f"{path.name}: {name}")}
         if matrices.get("P", np.zeros(0)).shape == (3, 4) or {"K", "R", "t"} <= matrices.keys():
             found.append((name, _picture(node, name, path, pictures), matrices))
@@ -70,7 +70,14 @@ def read_opencv(source: Path) -> Import:
     return assemble(_cameras(found, path.name))
 
 
-def _calibration(source: Path) -> Path:
+def calibration_file(source: Path) -> Path:
+    """Return the calibration of a source: itself, or the only such file in a folder.
+
+    Raises
+    ------
+    ScanstageError
+        The folder holds none, or several.
+    """
     if source.is_file():
         return source
     found = [path for path in sorted(source.iterdir()) if path.suffix.lower() in (".xml", ".yml", ".yaml", ".json")]
@@ -80,7 +87,14 @@ def _calibration(source: Path) -> Path:
     return found[0]
 
 
-def _open(path: Path) -> cv2.FileStorage:
+def open_storage(path: Path) -> cv2.FileStorage:
+    """Open a file of OpenCV's FileStorage that nobody vouches for.
+
+    Raises
+    ------
+    ScanstageError
+        It is none, or would overflow OpenCV's parsers.
+    """
     text = read_text(path)
     _refuse_nesting(text, path.name)
     try:
@@ -115,7 +129,7 @@ def _is_matrix(node: cv2.FileNode) -> bool:
     return node.isMap() and not node.getNode("rows").empty() and not node.getNode("data").empty()
 
 
-def _matrix(node: cv2.FileNode, place: str) -> np.ndarray:
+def read_matrix(node: cv2.FileNode, place: str) -> np.ndarray:
     """Return a matrix, or a plain list of numbers as a row; empty if it is neither or larger than any camera's."""
     if node.isSeq():
         shape, data = (1, node.size()), node
@@ -141,7 +155,7 @@ def _matrices(node: cv2.FileNode, place: str) -> dict[str, np.ndarray]:
     for name, spellings in NAMES.items():
         spelling = next((spelling for spelling in spellings if spelling in keys), None)
         if spelling is not None:
-            found[name] = _matrix(node.getNode(spelling), f"{place}: {spelling}")
+            found[name] = read_matrix(node.getNode(spelling), f"{place}: {spelling}")
     return found
 
 
