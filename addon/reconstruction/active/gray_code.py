@@ -79,7 +79,8 @@ def _decode_into(position: np.ndarray, reason: np.ndarray, pairs: Iterable[tuple
         if inverse is None:
             inverse = _opposite(image, white, black)
         code.add(cv2.compare(image, inverse, cv2.CMP_GT, dst=on))
-        contrasts.add(cv2.absdiff(image, inverse, dst=difference))
+        if robust:
+            contrasts.add(cv2.absdiff(image, inverse, dst=difference))
         last = [*last[-2:], (image, inverse)]
     code.write_position(position, finest)
     least = contrast * full_scale(white)
