@@ -59,33 +59,31 @@ def decode_gray(pairs: Iterable[tuple[np.ndarray, np.ndarray | None]], white: np
     inverse one is at most ``d`` and the other at least ``g``. Light adds up, the two pictures to ``d + g``, and so both of the
     latter say the same: the two differ by at least ``g - d``.
     """
-    def decode(pairs, white: np.ndarray, black: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _decoded(pairs, white, black, length=length, finest=finest, contrast=contrast, robust=robust)
-
-    sigma = 2 ** finest / np.sqrt(12)
-    if not isinstance(pairs, Sequence):
-        return Decoded(*decode(pairs, white, black), sigma)
     position, reason = np.empty(white.shape, np.float32), np.empty(white.shape, np.uint8)
-    height = max(1, _BAND // (white.shape[1] * white.itemsize))
+    height = max(1, _BAND // (white.shape[1] * white.itemsize)) if isinstance(pairs, Sequence) else white.shape[0]
     for top in range(0, white.shape[0], height):
         band = slice(top, top + height)
         pieces = ((image[band], None if inverse is None else inverse[band]) for image, inverse in pairs)
-        position[band], reason[band] = decode(pieces, white[band], black[band])
-    return Decoded(position, reason, sigma)
+        _decode_into(position[band], reason[band], pieces, white[band], black[band], length=length, finest=finest, contrast=contrast,
+                     robust=robust)
+    return Decoded(position, reason, 2 ** finest / np.sqrt(12))
 
 
-def _decoded(pairs: Iterable[tuple[np.ndarray, np.ndarray | None]], white: np.ndarray, black: np.ndarray, *, length: int,
-             finest: int, contrast: float, robust: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions and reasons of `decode_gray`."""
+def _decode_into(position: np.ndarray, reason: np.ndarray, pairs: Iterable[tuple[np.ndarray, np.ndarray | None]], white: np.ndarray,
+                 black: np.ndarray, *, length: int, finest: int, contrast: float, robust: bool) -> None:
+    """Fill the arrays of a `Decoded`."""
     code, contrasts = _Code(white.shape), _Contrasts(white.shape, white.dtype)
     last: list[tuple[np.ndarray, np.ndarray]] = []
+    on, difference = np.empty(white.shape, np.uint8), np.empty_like(white)  # used again: fresh memory costs more than the arithmetic
     for image, inverse in pairs:
         if inverse is None:
             inverse = _opposite(image, white, black)
-        code.add(cv2.compare(image, inverse, cv2.CMP_GT))
-        contrasts.add(cv2.absdiff(image, inverse))
+        code.add(cv2.compare(image, inverse, cv2.CMP_GT, dst=on))
+        if robust:
+            contrasts.add(cv2.absdiff(image, inverse, dst=difference))
         last = [*last[-2:], (image, inverse)]
-    position, least = code.position(finest), contrast * full_scale(white)
+    code.write_position(position, finest)
+    least = contrast * full_scale(white)
     # Indirect light is even under fine patterns only, and the finest is blurred by the lenses: the next two serve best.
     fine = last[:2] if finest == 0 and len(last) == 3 else last[-2:]
     direct, indirect = separated([picture for pair in fine for picture in pair], black)
@@ -95,7 +93,7 @@ def _decoded(pairs: Iterable[tuple[np.ndarray, np.ndarray | None]], white: np.nd
         doubt = cv2.bitwise_not(contrasts.told(direct, indirect, least))
         flags |= doubt & _DOUBTFUL
         flags |= cv2.bitwise_and(doubt, cv2.compare(white, full_scale(white), cv2.CMP_GE)) & _SATURATED
-    return position, cv2.LUT(flags, _REASONS)
+    cv2.LUT(flags, _REASONS, dst=reason)
 
 
 def _first_reasons() -> np.ndarray:
@@ -155,12 +153,12 @@ class _Code:
         np.add(byte, byte, out=byte)
         np.subtract(byte, self._binary, out=byte)  # 255 is -1
 
-    def position(self, finest: int) -> np.ndarray:
-        """Return the (h, w) float32 middles of the cells that the codes so far number."""
+    def write_position(self, out: np.ndarray, finest: int) -> None:
+        """Write the middles of the cells that the codes so far number, (h, w) float32."""
         cell = float(2 ** finest)
         low = self._bits - _BYTE if self._bits > _BYTE else 0
         first, second = (self._bytes * 2)[:2] if low == 0 else self._bytes
-        return cv2.addWeighted(first, cell * 2 ** low, second, cell if low else 0.0, (cell - 1) / 2, dtype=cv2.CV_32F)
+        cv2.addWeighted(first, cell * 2 ** low, second, cell if low else 0.0, (cell - 1) / 2, dst=out, dtype=cv2.CV_32F)
 
 
 class _Contrasts:
@@ -169,10 +167,12 @@ class _Contrasts:
     def __init__(self, shape: tuple[int, int], dtype: np.dtype) -> None:
         top = np.iinfo(dtype).max if dtype.kind == "u" else np.finfo(dtype).max
         self._weakest, self._second = np.full(shape, top, dtype), np.full(shape, top, dtype)
+        self._larger = np.empty(shape, dtype)
 
     def add(self, contrast: np.ndarray) -> None:
         """Take in a pair's difference."""
-        cv2.min(self._second, cv2.max(self._weakest, contrast), dst=self._second)
+        cv2.max(self._weakest, contrast, dst=self._larger)
+        cv2.min(self._second, self._larger, dst=self._second)
         cv2.min(self._weakest, contrast, dst=self._weakest)
 
     def told(self, direct: np.ndarray, indirect: np.ndarray, least: float) -> np.ndarray:
