@@ -83,11 +83,11 @@ METHODS = {method.name: method for method in (
            ("silhouettes",), polyhedral_hull.OPTIONS, polyhedral_hull.polyhedral_hull, polyhedral_hull.working_bounds,
            cuts_solids=True),
     Method("gray-code", "Gray Code", "Points where the camera sees a projector's Gray code, to a column",
-           ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, structured_light.measure_gray_code),
+           ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_gray_code),
     Method("phase-shift", "Phase Shift", "Points where the camera sees a projector's sinusoids, to a small part of a column",
-           ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, structured_light.measure_phase_shift),
+           ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_phase_shift),
     Method("laser-stripe", "Laser Stripe", "Points where the camera sees a stripe, or a point, of light that sweeps over the object",
-           ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, laser_stripe.measure_laser_stripe),
+           ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, measure=laser_stripe.measure_laser_stripe),
 )}
 
 
