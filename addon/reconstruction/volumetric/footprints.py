@@ -1,0 +1,244 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What pictures show of voxels: the colours of a voxel's footprint in every view, with their spread.
+
+A footprint is read as one pixel of a picture that is reduced until a voxel spans about `PIXELS_PER_VOXEL` of its pixels;
+the spread is that of the pixels in a window about it. So a sample costs one projection and one gather. The pictures of all
+views, cut to what they can show of the volume, lie in one array, and voxels are projected into all of them at once.
+
+Pictures are premultiplied: a pixel that shows nothing of the object, or that is taken out because something nearer has
+been found in it, is zero in all four channels. Sums over views then need no masks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import cv2
+import numpy as np
+
+from ...progress import Progress, silent
+from ..geometry import Camera, VoxelGrid
+from ..scan import View
+from ..undistortion import injective_radius
+
+PIXELS_PER_VOXEL = 2
+WINDOW = 3  # pixels of the reduced picture; some 1.5 voxels
+BORDER = 1  # pixels from a mask's outline in which background is mixed
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What v views show of n voxels.
+
+    Parameters
+    ----------
+    rgba : (v, n, 4) float32 array
+        The mean colour of the footprint, linear, and 1; all zero where the view does not see the voxel.
+    variance : (v, n, 3) float32 array
+        Of the footprint's pixels within the view, a channel at a time. Zero where the view does not see the voxel.
+    pixels : (v, n) float32 array
+        How many pixels that is.
+    """
+
+    rgba: np.ndarray
+    variance: np.ndarray
+    pixels: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which views see which voxels: (v, n) bool."""
+        return self.rgba[..., 3] > 0
+
+    @property
+    def views(self) -> np.ndarray:
+        """How many views see each voxel: (n,) int."""
+        return np.count_nonzero(self.rgba[..., 3], axis=0)
+
+    def colors(self) -> np.ndarray:
+        """Return the (n, 3) means over the views that see a voxel; 0 where none does."""
+        total = self.rgba.sum(axis=0)
+        return total[:, :3] / np.maximum(total[:, 3:], 1)
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The pictures of all views, ready to be sampled at voxels.
+
+    Parameters
+    ----------
+    cameras : tuple of Camera
+        Of the cut and reduced pictures, without distortion, in the object frame.
+    matrices : (v, 3, 4) float32 array
+        From voxel coordinates (voxel ``i`` spans ``[i, i + 1)``) to pixels; the integer part of a pixel coordinate is its
+        column or row.
+    offset : (v,) intp array
+        Where each picture begins in ``rgba``.
+    rgba : (p, 4) float32 array
+        Rows of pixels, one picture after the other, each with a border of one empty pixel.
+    spread : (p, 4) float32 array
+        Variance within the window about each pixel in three channels, and how many pixels that window has.
+    """
+
+    cameras: tuple[Camera, ...]
+    matrices: np.ndarray
+    offset: np.ndarray
+    rgba: np.ndarray
+    spread: np.ndarray
+
+    @classmethod
+    def of(cls, views: Sequence[View], grid: VoxelGrid, progress: Progress = silent, *, border: int = BORDER) -> Pictures:
+        """Read the pictures, one at a time.
+
+        Parameters
+        ----------
+        views : sequence of View
+            A view without a mask shows the object everywhere.
+        grid : VoxelGrid
+        progress : Progress
+        border : int
+            Pixels of the whole picture, inward from a mask's outline, that are left out.
+        """
+        cameras, pictures, spreads = [], [], []
+        for number, view in enumerate(views):
+            progress(number / len(views), f"Reading the colours of view {view.name}")
+            picture, camera = prepared(view, grid, border=border)
+            cameras.append(camera)
+            pictures.append(picture.reshape(-1, 4))
+            spreads.append(_spread(picture).reshape(-1, 4))
+        offset = np.cumsum([0] + [len(picture) for picture in pictures[:-1]])
+        return cls(tuple(cameras), np.array([_from_voxels(camera, grid) for camera in cameras], np.float32), offset.astype(np.intp),
+                   np.concatenate(pictures), np.concatenate(spreads))
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """Widths and heights (v, 2)."""
+        return np.array([camera.size for camera in self.cameras])
+
+    def locate(self, points: np.ndarray) -> np.ndarray:
+        """Return in which row of ``rgba`` each view sees each of the (n, 3) points, in voxel coordinates: (v, n) intp.
+
+        What lies beyond a picture or behind its camera is located in the picture's empty border.
+        """
+        points = np.column_stack((points, np.ones(len(points), np.float32))).astype(np.float32).T
+        x, y, depth = (self.matrices.reshape(-1, 4) @ points).reshape(len(self.cameras), 3, -1).transpose(1, 0, 2)
+        limit = self.sizes[:, :, None].astype(np.float32) - 0.5
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(depth > 0, 1 / depth, np.float32(np.nan))
+        # fmin and fmax turn NaN into a number: behind the camera is the corner of the border.
+        column = np.fmax(np.fmin(x * inverse, limit[:, 0]), 0).astype(np.int32)
+        row = np.fmax(np.fmin(y * inverse, limit[:, 1]), 0).astype(np.int32)
+        return row * self.sizes[:, :1] + column + self.offset[:, None]
+
+    def at(self, rows: np.ndarray, rgba: np.ndarray | None = None) -> Samples:
+        """Return the samples in given rows (v, n), as `locate` returns them.
+
+        Parameters
+        ----------
+        rows : (v, n) intp array
+        rgba : (p, 4) float32 array, optional
+            Read instead of ``self.rgba``: the same with some pixels zeroed.
+        """
+        found = gather(self.rgba if rgba is None else rgba, rows)
+        spread = gather(self.spread, rows) * found[..., 3:]
+        return Samples(found, spread[..., :3], spread[..., 3])
+
+
+def gather(pixels: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return ``pixels[rows]`` for (p, 4) float32 pixels: (..., 4)."""
+    # One element of 16 bytes is taken several times as fast as a row of four.
+    return pixels.view(np.complex128)[:, 0].take(rows).view(np.float32).reshape(*rows.shape, 4)
+
+
+def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER) -> tuple[np.ndarray, Camera]:
+    """Return a view's picture (h, w, 4) without distortion, reduced, cut and with an empty border; and its camera.
+
+    The fourth channel is 1 where the picture shows the object and nothing else, and the others are zero elsewhere.
+    """
+    image, camera = straightened(premultiplied(view, border=border), view.camera)
+    corners = grid.origin + np.array(list(product((0, 1), repeat=3))) * (grid.upper - grid.origin)
+    step = reduction(camera, corners, grid.voxel_size)
+    image, camera = reduced(image, step), camera.scaled(1 / step)
+    whole = image[..., 3] > 0.999
+    image = np.where(whole[..., None], image / np.maximum(image[..., 3:], 1e-6), 0).astype(np.float32)
+    left, top, right, bottom = _window(camera, corners, whole)
+    image = cv2.copyMakeBorder(image[top:bottom, left:right], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0, 0, 0, 0))
+    shift = np.array([[1, 0, 1 - left], [0, 1, 1 - top], [0, 0, 1]])
+    return image, replace(camera, K=shift @ camera.K, size=image.shape[1::-1])
+
+
+def premultiplied(view: View, *, border: int = 0) -> np.ndarray:
+    """Return a view's picture (h, w, 4) with its mask as alpha, so that no mean takes in what lies outside the mask.
+
+    The mask is made smaller by ``border`` pixels; beyond the picture's edge counts as object.
+    """
+    image = cv2.cvtColor(view.read_image().astype(np.float32, copy=False), cv2.COLOR_RGB2RGBA)
+    if view.mask is None:
+        return image
+    mask = view.mask.astype(np.uint8)
+    return cv2.copyTo(image, cv2.erode(mask, np.ones((2 * border + 1,) * 2, np.uint8)) if border else mask)
+
+
+def straightened(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
+    """Return a premultiplied picture as the same camera without distortion sees it, and that camera.
+
+    What the camera's lens model does not map to one place is left empty.
+    """
+    if not camera.distorted:
+        return image, camera
+    ideal = replace(camera, distortion=np.zeros(5))
+    image = cv2.undistort(image, camera.K, camera.distortion, None, camera.K)
+    width, height = camera.size
+    x, y = np.meshgrid((np.arange(width) - camera.K[0, 2]) / camera.K[0, 0], (np.arange(height) - camera.K[1, 2]) / camera.K[1, 1])
+    image[x * x + y * y > injective_radius(camera) ** 2] = 0
+    return image, ideal
+
+
+def reduction(camera: Camera, points: np.ndarray, voxel_size: float) -> int:
+    """Return by how much a picture can be reduced and still have `PIXELS_PER_VOXEL`, for the nearest of the points."""
+    depth = (points - camera.centre) @ camera.forward
+    if not (depth > 0).any():
+        return 1
+    voxel = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * voxel_size / depth[depth > 0].min()
+    return max(1, int(min(voxel, *camera.size) / PIXELS_PER_VOXEL))
+
+
+def reduced(image: np.ndarray, step: int) -> np.ndarray:
+    """Return means of step x step pixels, aligned as `Camera.scaled` has them."""
+    if step == 1:
+        return image
+    height, width = image.shape[:2]
+    image = cv2.copyMakeBorder(image, 0, -height % step, 0, -width % step, cv2.BORDER_REPLICATE)
+    return cv2.resize(image, (image.shape[1] // step, image.shape[0] // step), interpolation=cv2.INTER_AREA)
+
+
+def _window(camera: Camera, corners: np.ndarray, used: np.ndarray) -> tuple[int, int, int, int]:
+    """Return left, top, right and bottom of the part of a picture that is used and may show the volume."""
+    columns, rows = np.flatnonzero(used.any(axis=0)), np.flatnonzero(used.any(axis=1))
+    if not len(columns):
+        return 0, 0, 1, 1
+    low, high = np.array([columns[0], rows[0]]), np.array([columns[-1], rows[-1]]) + 1
+    pixels, depth = camera.project(corners)
+    if (depth > 0).all():
+        low = np.clip(np.floor(pixels.min(axis=0)).astype(int), low, high - 1)
+        high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + 1, low + 1, high)
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _spread(picture: np.ndarray) -> np.ndarray:
+    """Return (h, w, 4): variance in the window about each pixel, of those that show the object, and their number."""
+    window = {"ksize": (WINDOW, WINDOW), "normalize": False, "borderType": cv2.BORDER_CONSTANT}
+    total = cv2.boxFilter(picture, -1, **window)
+    count = np.maximum(total[..., 3:], 1)
+    square = cv2.boxFilter(picture[..., :3] ** 2, -1, **window) / count
+    return np.concatenate((np.maximum(square - (total[..., :3] / count) ** 2, 0), total[..., 3:]), axis=-1)
+
+
+def _from_voxels(camera: Camera, grid: VoxelGrid) -> np.ndarray:
+    """Return the (3, 4) matrix from voxel coordinates to pixels whose integer part is the column or row."""
+    to_world = np.diag([grid.voxel_size] * 3 + [1.0])
+    to_world[:3, 3] = grid.origin
+    half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    return half @ camera.P @ to_world
