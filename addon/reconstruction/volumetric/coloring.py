@@ -98,7 +98,7 @@ def color_surface(surface: Surface, grid: VoxelGrid, views: Sequence[View], prog
     for number, bits in enumerate(seen):
         if number not in rejected:
             count += np.unpackbits(bits, count=len(count))
-    rgb = _filled(surface, best.colors(), count > 0)
+    rgb = filled(surface, best.colors(), count > 0)
     progress(1.0, "Surface coloured")
     return SurfaceColors(rgb.astype(np.float32), count)
 
@@ -247,7 +247,7 @@ def _median_of(values: np.ndarray, used: np.ndarray) -> np.ndarray:
     return np.where(count[:, None] > 0, 0.5 * (middle[0] + middle[1]), 0)
 
 
-def _filled(surface: Surface, rgb: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def filled(surface: Surface, rgb: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Give unseen voxels the mean colour of the seen surface they adjoin, a few steps deep; grey to the others.
 
     Steps go along the surface, from one voxel to those it shares a vertex with, so that no colour jumps across a gap.

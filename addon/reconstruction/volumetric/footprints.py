@@ -6,14 +6,15 @@ A footprint is read as one pixel of a picture that is reduced until a voxel span
 the spread is that of the pixels in a window about it. So a sample costs one projection and one gather. The pictures of all
 views, cut to what they can show of the volume, lie in one array, and voxels are projected into all of them at once.
 
-Pictures are premultiplied: a pixel that shows nothing of the object, or that is taken out because something nearer has
-been found in it, is zero in all four channels. Sums over views then need no masks.
+Pictures are premultiplied: a pixel that tells nothing, or that is taken out because something nearer has been found in it,
+is zero in all four channels. Sums over views then need no masks. A pixel that surely shows background has -1 in the fourth.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import cv2
@@ -27,6 +28,10 @@ from ..undistortion import injective_radius
 PIXELS_PER_VOXEL = 2
 WINDOW = 3  # pixels of the reduced picture; some 1.5 voxels
 BORDER = 1  # pixels from a mask's outline in which background is mixed
+HALF_DIAGONAL = 0.87  # of a voxel
+PATCH = 5  # points along the side of a patch, a voxel apart
+COLOR_BINS = 8  # a channel
+OVERLAP = 0.25  # of a bin, into each of its neighbours
 
 
 @dataclass(frozen=True)
@@ -36,16 +41,27 @@ class Samples:
     Parameters
     ----------
     rgba : (v, n, 4) float32 array
-        The mean colour of the footprint, linear, and 1; all zero where the view does not see the voxel.
+        The mean colour of the footprint, linear, and 1; all zero where the view does not see the voxel. Where it sees
+        background in its place, zero and -1.
     variance : (v, n, 3) float32 array
         Of the footprint's pixels within the view, a channel at a time. Zero where the view does not see the voxel.
     pixels : (v, n) float32 array
         How many pixels that is.
+    low, high : (v, n, 3) float32 array
+        The least and the greatest of what is compared: ``rgba`` where a footprint is read as one sample.
+    cells : (v, n, 8) uint64 array, optional
+        The footprint's colours as a set of 8 x 8 x 8 bits: see `color_cells`.
+    patches : (v, n, k) float32 array, optional
+        Luminance at the points of a patch about the voxel, zero where the view does not see all of it.
     """
 
     rgba: np.ndarray
     variance: np.ndarray
     pixels: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    cells: np.ndarray | None = None
+    patches: np.ndarray | None = None
 
     @property
     def seen(self) -> np.ndarray:
@@ -55,7 +71,12 @@ class Samples:
     @property
     def views(self) -> np.ndarray:
         """How many views see each voxel: (n,) int."""
-        return np.count_nonzero(self.rgba[..., 3], axis=0)
+        return np.count_nonzero(self.seen, axis=0)
+
+    @property
+    def background(self) -> np.ndarray:
+        """Whether any view sees background in a voxel's place: (n,) bool."""
+        return self.rgba[..., 3].min(axis=0) < 0
 
     def colors(self) -> np.ndarray:
         """Return the (n, 3) means over the views that see a voxel; 0 where none does."""
@@ -89,7 +110,8 @@ class Pictures:
     spread: np.ndarray
 
     @classmethod
-    def of(cls, views: Sequence[View], grid: VoxelGrid, progress: Progress = silent, *, border: int = BORDER) -> Pictures:
+    def of(cls, views: Sequence[View], grid: VoxelGrid, progress: Progress = silent, *, border: int = BORDER,
+           background: bool = False) -> Pictures:
         """Read the pictures, one at a time.
 
         Parameters
@@ -100,39 +122,74 @@ class Pictures:
         progress : Progress
         border : int
             Pixels of the whole picture, inward from a mask's outline, that are left out.
+        background : bool
+            Whether to tell pixels that show background apart from those that tell nothing.
         """
         cameras, pictures, spreads = [], [], []
         for number, view in enumerate(views):
             progress(number / len(views), f"Reading the colours of view {view.name}")
-            picture, camera = prepared(view, grid, border=border)
+            picture, camera = prepared(view, grid, border=border, background=background)
             cameras.append(camera)
             pictures.append(picture.reshape(-1, 4))
-            spreads.append(_spread(picture).reshape(-1, 4))
+            spreads.append(_spread(np.maximum(picture, 0)).reshape(-1, 4))
         offset = np.cumsum([0] + [len(picture) for picture in pictures[:-1]])
         return cls(tuple(cameras), np.array([_from_voxels(camera, grid) for camera in cameras], np.float32), offset.astype(np.intp),
                    np.concatenate(pictures), np.concatenate(spreads))
 
-    @property
+    def subset(self, used: np.ndarray) -> Pictures:
+        """Return the pictures of some views (v,) bool; rows are still those of all pictures."""
+        cameras = tuple(camera for camera, use in zip(self.cameras, used, strict=True) if use)
+        return replace(self, cameras=cameras, matrices=self.matrices[used], offset=self.offset[used])
+
+    @cached_property
     def sizes(self) -> np.ndarray:
         """Widths and heights (v, 2)."""
-        return np.array([camera.size for camera in self.cameras])
+        return np.array([camera.size for camera in self.cameras]).reshape(-1, 2)
+
+    @cached_property
+    def centres(self) -> np.ndarray:
+        """The cameras' centres (v, 3) float32 in voxel coordinates."""
+        matrices = self.matrices.astype(np.float64)
+        return -np.linalg.solve(matrices[:, :, :3], matrices[:, :, 3:])[..., 0].astype(np.float32)
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return columns and rows, whose integer part is the pixel, and depths of (n, 3) points: (v, n) float32 each.
+
+        Points are in voxel coordinates. Columns and rows are NaN where the depth is not positive.
+        """
+        homogeneous = np.ones((4, len(points)), np.float32)
+        homogeneous[:3] = points.T
+        x, y, depth = np.moveaxis((self.matrices.reshape(-1, 4) @ homogeneous).reshape(len(self.cameras), 3, -1), 1, 0)
+        with np.errstate(divide="ignore"):
+            inverse = np.where(depth > 0, 1 / depth, np.float32(np.nan))
+        return x * inverse, y * inverse, depth
 
     def locate(self, points: np.ndarray) -> np.ndarray:
         """Return in which row of ``rgba`` each view sees each of the (n, 3) points, in voxel coordinates: (v, n) intp.
 
         What lies beyond a picture or behind its camera is located in the picture's empty border.
         """
-        points = np.column_stack((points, np.ones(len(points), np.float32))).astype(np.float32).T
-        x, y, depth = (self.matrices.reshape(-1, 4) @ points).reshape(len(self.cameras), 3, -1).transpose(1, 0, 2)
+        x, y, _ = self.project(points)
         limit = self.sizes[:, :, None].astype(np.float32) - 0.5
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.where(depth > 0, 1 / depth, np.float32(np.nan))
         # fmin and fmax turn NaN into a number: behind the camera is the corner of the border.
-        column = np.fmax(np.fmin(x * inverse, limit[:, 0]), 0).astype(np.int32)
-        row = np.fmax(np.fmin(y * inverse, limit[:, 1]), 0).astype(np.int32)
+        column = np.fmax(np.fmin(x, limit[:, 0]), 0).astype(np.int32)
+        row = np.fmax(np.fmin(y, limit[:, 1]), 0).astype(np.int32)
         return row * self.sizes[:, :1] + column + self.offset[:, None]
 
-    def at(self, rows: np.ndarray, rgba: np.ndarray | None = None) -> Samples:
+    @cached_property
+    def cells(self) -> np.ndarray:
+        """The colours within the window about each pixel, as `color_cells`: (p, 8) uint64."""
+        parts = []
+        for camera, start in zip(self.cameras, self.offset, strict=True):
+            width, height = camera.size
+            picture = self.rgba[start:start + width * height].reshape(height, width, 4)
+            own = np.where(picture[..., 3:] > 0, color_cells(picture[..., :3]), np.uint64(0))
+            for axis in (0, 1):  # the border is empty, so that what is rolled in from the other side is nothing
+                own = own | np.roll(own, 1, axis) | np.roll(own, -1, axis)
+            parts.append(own.reshape(-1, COLOR_BINS))
+        return np.concatenate(parts)
+
+    def at(self, rows: np.ndarray, rgba: np.ndarray | None = None, *, cells: bool = False) -> Samples:
         """Return the samples in given rows (v, n), as `locate` returns them.
 
         Parameters
@@ -140,10 +197,29 @@ class Pictures:
         rows : (v, n) intp array
         rgba : (p, 4) float32 array, optional
             Read instead of ``self.rgba``: the same with some pixels zeroed.
+        cells : bool
+            Whether the samples are to have sets of colours.
         """
         found = gather(self.rgba if rgba is None else rgba, rows)
-        spread = gather(self.spread, rows) * found[..., 3:]
-        return Samples(found, spread[..., :3], spread[..., 3])
+        spread = gather(self.spread, rows) * np.maximum(found[..., 3:], 0)
+        sets = self.cells[rows] * (found[..., 3:] > 0) if cells else None
+        return Samples(found, spread[..., :3], spread[..., 3], found[..., :3], found[..., :3], sets)
+
+    def patches(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Return the luminance (v, n, k) at the points of square patches about (n, 3) points, across normals (n, 3) of any length.
+
+        Points are in voxel coordinates. A patch that a view does not see all of is zero.
+        """
+        normals = np.where(normals.any(axis=1, keepdims=True), normals, [[0.0, 0.0, 1.0]])
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        aside = np.where(np.abs(normals[:, 2:]) < 0.8, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+        first = np.cross(normals, aside)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        second = np.cross(normals, first)
+        steps = np.arange(PATCH) - PATCH // 2
+        read = [gather(self.rgba, self.locate(points + u * first + v * second)) for u in steps for v in steps]
+        whole = np.logical_and.reduce([pixels[..., 3] > 0 for pixels in read])
+        return np.stack([pixels[..., :3].mean(axis=2) for pixels in read], axis=2) * whole[..., None]
 
 
 def gather(pixels: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -152,10 +228,29 @@ def gather(pixels: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return pixels.view(np.complex128)[:, 0].take(rows).view(np.float32).reshape(*rows.shape, 4)
 
 
-def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER) -> tuple[np.ndarray, Camera]:
+def color_cells(rgb: np.ndarray) -> np.ndarray:
+    """Return the cells of a histogram that colours fall into, as sets of bits: (..., 8) uint64 of (..., 3) linear colours.
+
+    Each channel has `COLOR_BINS` bins over the square root of its value, in which photon noise is even. Bins reach into
+    their neighbours, so that a colour near an edge is in both. Red chooses the word, green and blue the bit.
+    """
+    place = np.sqrt(np.clip(rgb, 0, 1)) * COLOR_BINS
+    bins = np.arange(COLOR_BINS)
+    inside = (place[..., None] > bins - OVERLAP) & (place[..., None] < bins + 1 + OVERLAP)
+    inside[..., -1] |= place >= COLOR_BINS
+    weights = np.uint64(1) << bins.astype(np.uint64)
+    blue = (inside[..., 2, :] * weights).sum(axis=-1, dtype=np.uint64)
+    bits = np.zeros_like(blue)
+    for green in bins:
+        bits |= np.where(inside[..., 1, green], blue << np.uint64(COLOR_BINS * green), np.uint64(0))
+    return np.where(inside[..., 0, :], bits[..., None], np.uint64(0))
+
+
+def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER, background: bool = False) -> tuple[np.ndarray, Camera]:
     """Return a view's picture (h, w, 4) without distortion, reduced, cut and with an empty border; and its camera.
 
-    The fourth channel is 1 where the picture shows the object and nothing else, and the others are zero elsewhere.
+    The fourth channel is 1 where the picture shows the object and nothing else, and the others are zero elsewhere. With
+    ``background`` it is -1 where a voxel's centre is seen only if no part of the voxel is inside the mask.
     """
     image, camera = straightened(premultiplied(view, border=border), view.camera)
     corners = grid.origin + np.array(list(product((0, 1), repeat=3))) * (grid.upper - grid.origin)
@@ -163,7 +258,12 @@ def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER) -> tuple[np.n
     image, camera = reduced(image, step), camera.scaled(1 / step)
     whole = image[..., 3] > 0.999
     image = np.where(whole[..., None], image / np.maximum(image[..., 3:], 1e-6), 0).astype(np.float32)
-    left, top, right, bottom = _window(camera, corners, whole)
+    shown = whole
+    if background and view.mask is not None:
+        outside = _background(view, step, voxel=_voxel_in_pixels(camera, corners, grid.voxel_size))
+        image[outside, 3] = -1
+        shown = whole | outside
+    left, top, right, bottom = _window(camera, corners, shown)
     image = cv2.copyMakeBorder(image[top:bottom, left:right], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0, 0, 0, 0))
     shift = np.array([[1, 0, 1 - left], [0, 1, 1 - top], [0, 0, 1]])
     return image, replace(camera, K=shift @ camera.K, size=image.shape[1::-1])
@@ -198,11 +298,23 @@ def straightened(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]
 
 def reduction(camera: Camera, points: np.ndarray, voxel_size: float) -> int:
     """Return by how much a picture can be reduced and still have `PIXELS_PER_VOXEL`, for the nearest of the points."""
+    return max(1, int(_voxel_in_pixels(camera, points, voxel_size) / PIXELS_PER_VOXEL))
+
+
+def _voxel_in_pixels(camera: Camera, points: np.ndarray, voxel_size: float) -> float:
+    """Return how many pixels a voxel spans at the nearest of the points, at most a whole picture."""
     depth = (points - camera.centre) @ camera.forward
     if not (depth > 0).any():
-        return 1
-    voxel = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * voxel_size / depth[depth > 0].min()
-    return max(1, int(min(voxel, *camera.size) / PIXELS_PER_VOXEL))
+        return 1.0
+    return float(min(np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * voxel_size / depth[depth > 0].min(), *camera.size))
+
+
+def _background(view: View, step: int, *, voxel: float) -> np.ndarray:
+    """Return where the reduced picture shows background and no mask is within half a voxel's diagonal."""
+    outside = reduced(straightened((~view.mask).astype(np.float32), view.camera)[0], step) > 0.999
+    radius = int(np.ceil(HALF_DIAGONAL * voxel)) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
+    return cv2.erode(outside.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
 
 
 def reduced(image: np.ndarray, step: int) -> np.ndarray:
