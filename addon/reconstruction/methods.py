@@ -22,7 +22,7 @@ from ..progress import Progress, part_of, silent
 from .geometry import VoxelGrid
 from .outcome import Outcome, VoxelLayer
 from .scan import Scan
-from .volumetric import visual_hull
+from .volumetric import probabilistic_carving, visual_hull
 from .volumetric.coloring import SurfaceColors, color_surface
 from .volumetric.item_buffer import reprojection_iou
 from .volumetric.surface import Surface, extract_surface
@@ -65,6 +65,9 @@ class Method:
 METHODS = {method.name: method for method in (
     Method("visual-hull", "Visual Hull", "The largest shape with the captured silhouettes, carved by an octree",
            ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds),
+    Method("probabilistic-carving", "Probabilistic Carving", "How probable each voxel is, given what all pictures show and what hides what",
+           ("silhouettes", "colour"), probabilistic_carving.OPTIONS, probabilistic_carving.probabilistic_carving,
+           probabilistic_carving.probabilistic_bounds),
 )}
 
 

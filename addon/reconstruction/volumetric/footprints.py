@@ -169,7 +169,10 @@ class Pictures:
 
         What lies beyond a picture or behind its camera is located in the picture's empty border.
         """
-        x, y, _ = self.project(points)
+        return self.rows_at(*self.project(points)[:2])
+
+    def rows_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the rows (v, n) of what `project` returns, as `locate` does."""
         limit = self.sizes[:, :, None].astype(np.float32) - 0.5
         # fmin and fmax turn NaN into a number: behind the camera is the corner of the border.
         column = np.fmax(np.fmin(x, limit[:, 0]), 0).astype(np.int32)

@@ -110,6 +110,25 @@ class SparseVolume:
         occupied[mixed] = self.bricks[row[mixed], x[mixed] % BRICK, y[mixed] % BRICK, z[mixed] % BRICK]
         return occupied & inside
 
+    def updated(self, voxels: np.ndarray, occupied: np.ndarray) -> SparseVolume:
+        """Return the volume with other contents of the voxels (n, 3), each given at most once: (n,) bool."""
+        voxels = np.asarray(voxels)
+        flat = np.ravel_multi_index((voxels // BRICK).T, self.brick_map.shape)
+        touched, place = np.unique(flat, return_inverse=True)
+        brick_map = self.brick_map.copy()
+        rows = brick_map.ravel()[touched]
+        cells = np.zeros((len(touched), BRICK, BRICK, BRICK), bool)
+        cells[rows == FULL] = True
+        cells[rows >= 0] = self.bricks[rows[rows >= 0]]
+        cells[place.ravel(), *(voxels % BRICK).T] = occupied
+        brick_map.ravel()[touched] = np.where(cells.any(axis=(1, 2, 3)), FULL, EMPTY)
+        kept = brick_map >= 0
+        mixed = cells.any(axis=(1, 2, 3)) & ~cells.all(axis=(1, 2, 3))
+        bricks = np.concatenate((self.bricks[brick_map[kept]], cells[mixed]))
+        brick_map[kept] = np.arange(np.count_nonzero(kept))
+        brick_map.ravel()[touched[mixed]] = np.arange(np.count_nonzero(kept), len(bricks))
+        return SparseVolume(self.grid, brick_map, bricks)
+
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the lowest and the highest occupied voxel index, or None if there is none."""
         if not self.count():
