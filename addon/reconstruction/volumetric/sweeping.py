@@ -108,12 +108,14 @@ def sweep(carving: Carving, pictures: Pictures, judge: Judge, order: Order, prog
         stayed = []
         while layer in waiting:
             front = np.concatenate(waiting.pop(layer))
-            refused, rgb, views = judged(front, carving, passed, judge, rgba)
-            stayed.append((front[~refused], rgb[~refused], views[~refused]))
-            tested, removed = tested + len(front), removed + int(refused.sum())
-            carving.remove(front[refused])
-            exposed = carving.exposed_by(front[refused])
-            _wait(waiting, carving, order, exposed, layer)
+            outside = passed.background(carving.voxels(front) + 0.5) if pictures.outside.any() else np.zeros(len(front), bool)
+            inside = front[~outside]
+            refused, rgb, views = judged(inside, carving, passed, judge, rgba)
+            stayed.append((inside[~refused], rgb[~refused], views[~refused]))
+            gone = np.concatenate((front[outside], inside[refused]))
+            tested, removed = tested + len(front), removed + len(gone)
+            carving.remove(gone)
+            _wait(waiting, carving, order, carving.exposed_by(gone), layer)
         kept += stayed
         for rows in covered(passed, carving.voxels(np.concatenate([keys for keys, _, _ in stayed]))):
             rgba.view(np.complex128)[rows, 0] = 0
@@ -146,8 +148,8 @@ def judged(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge,
     for part in (slice(start, start + step) for start in range(0, len(keys), step)):
         samples = sampled(keys[part], carving, pictures, judge, rgba)
         enough = samples.views >= judge.min_views
-        refused[part] = judge.refuses(samples) | samples.background
-        colors[part][enough], count[part][enough] = samples.colors()[enough], samples.views[enough]
+        refused[part] = judge.refuses(samples)
+        colors[part][enough], count[part][enough] = samples.colors[enough], samples.views[enough]
     return refused, colors, count
 
 
