@@ -4,7 +4,8 @@
 
 A sweep judges a voxel by the cameras that its plane has passed, which is never by more than see it, so that no sweep takes
 out what all cameras together would keep, if the measure is monotone. What six sweeps leave may still be inconsistent
-with all cameras at once: a last check asks them all, and if it takes anything out the sweeps begin again.
+with all cameras at once: a last check asks them all, also about what it exposes itself. After it no sweep can find more,
+since none asks cameras that the check has not asked.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from . import photo_hull
 from .carving import Carving
 from .consistency import Judge
 from .footprints import Pictures
-from .generalized_voxel_coloring import colors_by_sight, refusals
+from .generalized_voxel_coloring import carve_by_sight, colors_by_sight
 from .sight import Sight
 from .sweeping import AXES, sweep
 
@@ -42,8 +43,8 @@ def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consisten
     Returns
     -------
     Outcome
-        Its report counts ``tested`` (voxels judged, each time), ``coloured``, ``removed``, ``unseen``, ``sweeps`` and
-        ``checks``.
+        Its report counts ``tested`` (voxels judged, each time), ``coloured``, ``removed``, ``removed_by_check``,
+        ``unseen`` and ``sweeps``.
 
     Raises
     ------
@@ -53,32 +54,20 @@ def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consisten
     carving, warnings = photo_hull.start(scan, grid, start, part_of(progress, 0, 0.15))
     judge = Judge.of(consistency=consistency, threshold=threshold, noise=noise, min_views=min_views)
     pictures = photo_hull.pictures_of(scan, grid, start, part_of(progress, 0.15, 0.2))
-    counts = dict.fromkeys(("tested", "removed", "sweeps", "checks"), 0)
-    done, checked = 0.2, True
-    while checked:
-        done += (1 - done) / 3  # nobody knows how many rounds there will be
-        _sweep_until_stable(carving, pictures, judge, counts, part_of(progress, done - 0.1, done))
-        sight = Sight(pictures, carving)
-        seen = sight.seen()
-        refused = seen[refusals(sight, seen, judge)]
-        carving.remove(refused)
-        checked = len(refused)
-        _add(counts, tested=len(seen), removed=checked, checks=1)
+    tested, removed, sweeps = _sweep_until_stable(carving, pictures, judge, part_of(progress, 0.2, 0.8))
+    sight = Sight(pictures, carving)
+    checked, refused = carve_by_sight(carving, sight, judge, part_of(progress, 0.8, 0.95))
+    counts = {"tested": tested + checked, "removed": removed + refused, "removed_by_check": refused, "sweeps": sweeps}
     return photo_hull.outcome(carving, colors_by_sight(sight, judge), judge, counts=counts, warnings=warnings,
                               report={"order": "plane sweeps towards " + ", ".join(order.name for order in AXES)},
                               whole_footprints=False)
 
 
-def _sweep_until_stable(carving: Carving, pictures: Pictures, judge: Judge, counts: dict[str, int], progress: Progress) -> None:
-    """Sweep in turn in all six directions, until none of six sweeps on end has taken anything out."""
-    idle = 0
+def _sweep_until_stable(carving: Carving, pictures: Pictures, judge: Judge, progress: Progress) -> tuple[int, int, int]:
+    """Sweep in turn in all six directions until six sweeps on end take nothing out; return tests, removals and sweeps."""
+    tested = removed = sweeps = idle = 0
     while idle < len(AXES):
-        order = AXES[counts["sweeps"] % len(AXES)]
-        swept = sweep(carving, pictures, judge, order, progress)
-        _add(counts, tested=swept.tested, removed=swept.removed, sweeps=1)
+        swept = sweep(carving, pictures, judge, AXES[sweeps % len(AXES)], part_of(progress, 1 - 0.7 ** sweeps, 1 - 0.7 ** (sweeps + 1)))
+        tested, removed, sweeps = tested + swept.tested, removed + swept.removed, sweeps + 1
         idle = 0 if swept.removed else idle + 1
-
-
-def _add(counts: dict[str, int], **more: int) -> None:
-    for name, number in more.items():
-        counts[name] += number
+    return tested, removed, sweeps
