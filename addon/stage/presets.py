@@ -14,7 +14,7 @@ from types import MappingProxyType
 import bpy
 
 from ..options import Option, Value
-from . import turntable
+from . import turntable, voxel_coloring
 from .objects import Subject
 
 Build = Callable[[bpy.types.Scene, bpy.types.Collection, Subject, Mapping[str, Value]], None]
@@ -46,4 +46,6 @@ class Preset:
 PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset in (
     Preset("turntable", "Turntable", "A turning table before one camera, or one at each elevation, with a headlight",
            turntable.OPTIONS, turntable.build),
+    Preset("voxel-coloring", "Voxel Coloring", "Cameras above an object that stands still in even light, as voxel coloring needs them",
+           voxel_coloring.OPTIONS, voxel_coloring.build),
 )})

@@ -60,7 +60,8 @@ def build(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject,
         The elevations or the distance cannot be used, or the object cannot be staged.
     """
     elevations = parse_elevations(options["elevations"])
-    _apply_settings(scene, options, frames=options["views"] * len(elevations))
+    scene.world = devices.dark_world()
+    apply_settings(scene, options, frames=options["views"] * len(elevations))
     turntable = devices.add_turntable(stage)
     points = add_object(scene, stage, turntable, subject, fit=options["fit"])
     cameras = [devices.add_camera(stage, i, focal_length=options["focal_length"], sensor_width=options["sensor_width"])
@@ -70,7 +71,7 @@ def build(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject,
     turntable.empty_display_size = radius * 1.4
     devices.add_platter(stage, turntable, radius * 1.15, options["backdrop"])
     if options["backdrop"] != "none":
-        reach = float(np.linalg.norm(points - _middle(points), axis=1).max())
+        reach = float(np.linalg.norm(points - middle_of(points), axis=1).max())
         for i, camera in enumerate(cameras, start=1):
             devices.add_backdrop(stage, camera, camera_of(scene, camera), distance + 2 * reach, options["backdrop"], i)
     nearest = max(distance - radius, 0.1 * distance)
@@ -131,19 +132,29 @@ def fitting_distance(lens: Camera, elevation: float, points: np.ndarray) -> floa
     return float(max((depth + offset / (slope * (1 - 2 * _MARGIN))).max() for offset, slope in slopes))
 
 
-def _apply_settings(scene: bpy.types.Scene, options: Mapping[str, Value], frames: int) -> None:
-    scene.world = devices.dark_world()
+def apply_settings(scene: bpy.types.Scene, options: Mapping[str, Value], *, frames: int,
+                   only_cameras_change: bool = False) -> None:
+    """Write a preset's picture options and its plan's length into the scene.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    options : mapping
+        With ``samples`` and the resolution; without a ``backdrop`` there is none.
+    frames : int
+    only_cameras_change : bool
+        Whether nothing else moves or is switched in the plan: the geometry is then sent to the renderer once only.
+    """
     scene_settings.apply(scene, {
         "cycles.samples": options["samples"],
-        "render.film_transparent": options["backdrop"] == "none",
+        "render.film_transparent": options.get("backdrop", "none") == "none",
         "render.filepath": "//capture/images/",  # with the frame's number: what `capture` calls its pictures
         "render.resolution_x": options["resolution_x"],
         "render.resolution_y": options["resolution_y"],
         "render.resolution_percentage": 100,
         "render.pixel_aspect_x": 1.0,
         "render.pixel_aspect_y": 1.0,
-        # It pays only where nothing but the camera changes; the object turns here.
-        "render.use_persistent_data": False,
+        "render.use_persistent_data": only_cameras_change,
         "render.frame_map_old": 100,
         "render.frame_map_new": 100,
         "frame_start": 1,
@@ -152,14 +163,15 @@ def _apply_settings(scene: bpy.types.Scene, options: Mapping[str, Value], frames
     })
 
 
-def _middle(points: np.ndarray) -> np.ndarray:
+def middle_of(points: np.ndarray) -> np.ndarray:
+    """Return the point of the axis at half the object's height, at which the cameras look; in the object frame."""
     return np.array([0.0, 0.0, (points[:, 2].min() + points[:, 2].max()) / 2])
 
 
 def _place(scene: bpy.types.Scene, cameras: list[bpy.types.Object], elevations: list[float], points: np.ndarray,
            table: np.ndarray, options: Mapping[str, Value]) -> float:
     """Aim the cameras at the object's middle, all from one distance, which is returned."""
-    middle = _middle(points)
+    middle = middle_of(points)
     distance = options["distance"] or max(fitting_distance(camera_of(scene, camera), elevation, points - middle)
                                           for camera, elevation in zip(cameras, elevations, strict=True))
     reach = float(np.linalg.norm(points - middle, axis=1).max())
