@@ -121,12 +121,10 @@ def painted_views(cameras, shapes, paint) -> list[View]:
 
 
 def marbled(points: np.ndarray) -> np.ndarray:
-    """Return linear colours (n, 3) that change over all scales down to a tenth of a unit, without sharp edges."""
-    waves = sum(np.sin(points @ direction + phase) for direction, phase in (
-        (np.array([[9, 2, -5], [-4, 11, 3], [5, -3, 13]]), (0.3, 1.1, 2.0)),
-        (np.array([[-23, 17, 8], [12, 25, -19], [15, 20, 26]]), (1.7, 0.2, 0.9)),
-        (np.array([[41, -37, 22], [-33, 29, 45], [-52, 31, -27]]), (0.5, 2.6, 1.4))))
-    return 0.5 + 0.15 * waves
+    """Return linear colours (n, 3) that change over a fifth to a half of a unit, without sharp edges."""
+    coarse = np.sin(points @ np.array([[9, 2, -5], [-4, 11, 3], [5, -3, 13]]) + (0.3, 1.1, 2.0))
+    fine = np.sin(points @ np.array([[-18, 15, 8], [12, 20, -16], [15, 14, 21]]) + (1.7, 0.2, 0.9))
+    return 0.5 + 0.2 * coarse + 0.2 * fine
 
 
 def sphere_mesh(ball: Ball, rings: int = 32) -> TriangleMesh:

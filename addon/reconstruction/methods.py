@@ -22,7 +22,7 @@ from ..progress import Progress, part_of, silent
 from .geometry import VoxelGrid
 from .outcome import Outcome, VoxelLayer
 from .scan import Scan
-from .volumetric import probabilistic_carving, visual_hull
+from .volumetric import generalized_voxel_coloring, photo_hull, probabilistic_carving, space_carving, visual_hull, voxel_coloring
 from .volumetric.coloring import SurfaceColors, color_surface
 from .volumetric.item_buffer import reprojection_iou
 from .volumetric.surface import Surface, extract_surface
@@ -65,6 +65,13 @@ class Method:
 METHODS = {method.name: method for method in (
     Method("visual-hull", "Visual Hull", "The largest shape with the captured silhouettes, carved by an octree",
            ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds),
+    Method("voxel-coloring", "Voxel Coloring", "What the views agree on, in one pass from near to far; all cameras on one side",
+           ("silhouettes", "colour"), voxel_coloring.OPTIONS, voxel_coloring.voxel_coloring, photo_hull.photo_bounds),
+    Method("space-carving", "Space Carving", "What the views agree on, by planes that sweep in six directions until nothing changes",
+           ("silhouettes", "colour"), space_carving.OPTIONS, space_carving.space_carving, photo_hull.photo_bounds),
+    Method("generalized-voxel-coloring", "Generalized Voxel Coloring", "What the views agree on, with exact visibility for any cameras",
+           ("silhouettes", "colour"), generalized_voxel_coloring.OPTIONS, generalized_voxel_coloring.generalized_voxel_coloring,
+           photo_hull.photo_bounds),
     Method("probabilistic-carving", "Probabilistic Carving", "How probable each voxel is, given what all pictures show and what hides what",
            ("silhouettes", "colour"), probabilistic_carving.OPTIONS, probabilistic_carving.probabilistic_carving,
            probabilistic_carving.probabilistic_bounds),

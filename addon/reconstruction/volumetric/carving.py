@@ -68,6 +68,14 @@ class Carving:
         """Return (n,) bool: which voxels are there still."""
         return (self._state(keys) & OCCUPIED) != 0
 
+    def queued(self, keys: np.ndarray) -> np.ndarray:
+        """Return (n,) bool: which voxels are there still and are enqueued."""
+        return (self._state(keys) & QUEUED) != 0
+
+    def nothing_near(self, keys: np.ndarray) -> np.ndarray:
+        """Return (n,) bool: which voxels lie in a brick that was empty from the beginning."""
+        return self._map.ravel().take(self._places(keys)[0]) == _NOTHING
+
     def remove(self, keys: np.ndarray) -> None:
         """Take voxels out."""
         self._set(keys, np.uint8(0))

@@ -44,8 +44,8 @@ class Measure:
     scores : callable
         ``scores(samples, noise) -> (n,) float array``. ``noise`` is the standard deviation of the sensor's noise in linear
         colour. Scores of voxels that fewer than two views see mean nothing.
-    needs : {'', 'cells', 'patches'}
-        What the samples must hold besides means and spreads.
+    needs : {'', 'spread', 'cells', 'patches'}
+        What the samples must hold besides means.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Measure:
 
 def deviation(samples: Samples, noise: float) -> np.ndarray:
     """Return the standard deviation of all pixels, the root of the mean of the channels' variances; views weigh the same."""
-    between, within = _variances(samples)
+    between, within = _between(samples), _within(samples)
     return np.sqrt((between + within).mean(axis=1))
 
 
@@ -69,7 +69,7 @@ def chi_square(samples: Samples, noise: float) -> np.ndarray:
     ``(m - 1) s^2 / noise^2`` summed over the channels is a chi-square of 3 (m - 1) degrees of freedom.
     """
     views = samples.views
-    between, _ = _variances(samples)
+    between = _between(samples)
     return _normal(between.sum(axis=1) * views / noise ** 2, 3 * (views - 1))
 
 
@@ -115,19 +115,21 @@ def likelihood_ratio(samples: Samples, noise: float) -> np.ndarray:
     ``-2 ln L = n ln(s0^2 / sw^2)`` a channel, with the variance s0^2 of all n pixels and sw^2 of those within the views, is
     a chi-square of m - 1 degrees of freedom. The sensor's noise is the least that a variance can be.
     """
-    between, within = _variances(samples)
-    within = np.maximum(within, noise ** 2)
+    between, within = _between(samples), np.maximum(_within(samples), noise ** 2)
     count = samples.pixels.sum(axis=0)[:, None]
     return _normal((count * np.log1p(between / within)).sum(axis=1), 3 * (samples.views - 1))
 
 
-def _variances(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variance of the views' means and the mean variance within the views: (n, 3) each."""
-    views = np.maximum(samples.views, 1)[:, None]
+def _between(samples: Samples) -> np.ndarray:
+    """Return the (n, 3) variances of the views' means."""
     rgb = samples.rgba[..., :3]  # zero where a view does not see the voxel
-    mean = rgb.sum(axis=0) / views
-    square = np.einsum("vnc,vnc->nc", rgb, rgb) / views
-    return np.maximum(square - mean ** 2, 0), samples.variance.sum(axis=0) / views
+    square = np.einsum("vnc,vnc->nc", rgb, rgb) / np.maximum(samples.views, 1)[:, None]
+    return np.maximum(square - samples.colors ** 2, 0)
+
+
+def _within(samples: Samples) -> np.ndarray:
+    """Return the (n, 3) means of the variances within the views."""
+    return samples.variance.sum(axis=0) / np.maximum(samples.views, 1)[:, None]
 
 
 def _normal(chi_square: np.ndarray, degrees: np.ndarray) -> np.ndarray:
@@ -138,9 +140,9 @@ def _normal(chi_square: np.ndarray, degrees: np.ndarray) -> np.ndarray:
 
 MEASURES = {measure.name: measure for measure in (
     Measure("adaptive", "Adaptive", "Deviation less that within the views: forgives edges of texture inside a voxel, assumes that "
-            "every view resolves them alike", Monotone.NOT, 0.04, adaptive),
+            "every view resolves them alike", Monotone.NOT, 0.04, adaptive, "spread"),
     Measure("deviation", "Standard deviation", "Deviation of all pixels: assumes that a voxel has one colour",
-            Monotone.NOT, 0.08, deviation),
+            Monotone.NOT, 0.08, deviation, "spread"),
     Measure("chi-square", "Chi-square", "Deviation of the views' means against the sensor's noise, in standard deviations: assumes "
             "that nothing but noise makes them differ", Monotone.NOT, 3.1, chi_square),
     Measure("pairwise", "Maximum pairwise distance", "Greatest difference between two samples: assumes that a voxel has one colour and "
@@ -150,7 +152,7 @@ MEASURES = {measure.name: measure for measure in (
     Measure("ncc", "Normalised cross-correlation", "One less the mean correlation of patches: assumes texture and a smooth surface, and "
             "forgives gain and offset; where there is no texture nothing is removed", Monotone.NOT, 0.4, correlation, "patches"),
     Measure("likelihood", "Likelihood ratio", "One distribution of colours against one for each view, in standard deviations: assumes "
-            "normal distributions and independent pixels", Monotone.NOT, 8.0, likelihood_ratio),
+            "normal distributions and independent pixels", Monotone.NOT, 8.0, likelihood_ratio, "spread"),
 )}
 
 OPTIONS = (
@@ -192,7 +194,7 @@ class Judge:
 
         ``points`` (n, 3), in voxel coordinates, and ``normals`` (n, 3) of any length say where patches lie.
         """
-        samples = pictures.at(rows, rgba, cells=self.measure.needs == "cells")
+        samples = pictures.at(rows, rgba, spread=self.measure.needs == "spread", cells=self.measure.needs == "cells")
         if self.measure.needs == "patches":
             return replace(samples, patches=pictures.patches(points, normals) * samples.seen[..., None])
         return samples

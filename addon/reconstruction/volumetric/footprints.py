@@ -7,7 +7,7 @@ the spread is that of the pixels in a window about it. So a sample costs one pro
 views, cut to what they can show of the volume, lie in one array, and voxels are projected into all of them at once.
 
 Pictures are premultiplied: a pixel that tells nothing, or that is taken out because something nearer has been found in it,
-is zero in all four channels. Sums over views then need no masks. A pixel that surely shows background has -1 in the fourth.
+is zero in all four channels. Sums over views then need no masks.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from ...progress import Progress, silent
 from ..geometry import Camera, VoxelGrid
 from ..scan import View
 from ..undistortion import injective_radius
+from .bounds import spread_order
 
 PIXELS_PER_VOXEL = 2
 WINDOW = 3  # pixels of the reduced picture; some 1.5 voxels
@@ -32,6 +33,7 @@ HALF_DIAGONAL = 0.87  # of a voxel
 PATCH = 5  # points along the side of a patch, a voxel apart
 COLOR_BINS = 8  # a channel
 OVERLAP = 0.25  # of a bin, into each of its neighbours
+VIEWS_AT_ONCE = 3
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,10 @@ class Samples:
     Parameters
     ----------
     rgba : (v, n, 4) float32 array
-        The mean colour of the footprint, linear, and 1; all zero where the view does not see the voxel. Where it sees
-        background in its place, zero and -1.
-    variance : (v, n, 3) float32 array
+        The mean colour of the footprint, linear, and 1; all zero where the view does not see the voxel.
+    variance : (v, n, 3) float32 array, optional
         Of the footprint's pixels within the view, a channel at a time. Zero where the view does not see the voxel.
-    pixels : (v, n) float32 array
+    pixels : (v, n) float32 array, optional
         How many pixels that is.
     low, high : (v, n, 3) float32 array
         The least and the greatest of what is compared: ``rgba`` where a footprint is read as one sample.
@@ -56,32 +57,31 @@ class Samples:
     """
 
     rgba: np.ndarray
-    variance: np.ndarray
-    pixels: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    variance: np.ndarray | None = None
+    pixels: np.ndarray | None = None
     cells: np.ndarray | None = None
     patches: np.ndarray | None = None
 
-    @property
+    @cached_property
     def seen(self) -> np.ndarray:
         """Which views see which voxels: (v, n) bool."""
         return self.rgba[..., 3] > 0
 
-    @property
+    @cached_property
+    def _total(self) -> np.ndarray:
+        return self.rgba.sum(axis=0)
+
+    @cached_property
     def views(self) -> np.ndarray:
         """How many views see each voxel: (n,) int."""
-        return np.count_nonzero(self.seen, axis=0)
+        return np.rint(self._total[:, 3]).astype(np.int32)
 
-    @property
-    def background(self) -> np.ndarray:
-        """Whether any view sees background in a voxel's place: (n,) bool."""
-        return self.rgba[..., 3].min(axis=0) < 0
-
+    @cached_property
     def colors(self) -> np.ndarray:
-        """Return the (n, 3) means over the views that see a voxel; 0 where none does."""
-        total = self.rgba.sum(axis=0)
-        return total[:, :3] / np.maximum(total[:, 3:], 1)
+        """The (n, 3) means over the views that see a voxel; 0 where none does."""
+        return self._total[:, :3] / np.maximum(self._total[:, 3:], 1)
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,9 @@ class Pictures:
         Rows of pixels, one picture after the other, each with a border of one empty pixel.
     spread : (p, 4) float32 array
         Variance within the window about each pixel in three channels, and how many pixels that window has.
+    outside : (p,) bool array
+        The pixels in which a voxel's centre is seen only if no part of the voxel is inside the mask; none where that was
+        not asked for.
     """
 
     cameras: tuple[Camera, ...]
@@ -108,6 +111,7 @@ class Pictures:
     offset: np.ndarray
     rgba: np.ndarray
     spread: np.ndarray
+    outside: np.ndarray
 
     @classmethod
     def of(cls, views: Sequence[View], grid: VoxelGrid, progress: Progress = silent, *, border: int = BORDER,
@@ -123,18 +127,19 @@ class Pictures:
         border : int
             Pixels of the whole picture, inward from a mask's outline, that are left out.
         background : bool
-            Whether to tell pixels that show background apart from those that tell nothing.
+            Whether to tell pixels that show background, which then are not cut off.
         """
-        cameras, pictures, spreads = [], [], []
+        cameras, pictures, spreads, outsides = [], [], [], []
         for number, view in enumerate(views):
             progress(number / len(views), f"Reading the colours of view {view.name}")
-            picture, camera = prepared(view, grid, border=border, background=background)
+            picture, outside, camera = prepared(view, grid, border=border, background=background)
             cameras.append(camera)
             pictures.append(picture.reshape(-1, 4))
-            spreads.append(_spread(np.maximum(picture, 0)).reshape(-1, 4))
+            spreads.append(_spread(picture).reshape(-1, 4))
+            outsides.append(outside.ravel())
         offset = np.cumsum([0] + [len(picture) for picture in pictures[:-1]])
         return cls(tuple(cameras), np.array([_from_voxels(camera, grid) for camera in cameras], np.float32), offset.astype(np.intp),
-                   np.concatenate(pictures), np.concatenate(spreads))
+                   np.concatenate(pictures), np.concatenate(spreads), np.concatenate(outsides))
 
     def subset(self, used: np.ndarray) -> Pictures:
         """Return the pictures of some views (v,) bool; rows are still those of all pictures."""
@@ -192,7 +197,24 @@ class Pictures:
             parts.append(own.reshape(-1, COLOR_BINS))
         return np.concatenate(parts)
 
-    def at(self, rows: np.ndarray, rgba: np.ndarray | None = None, *, cells: bool = False) -> Samples:
+    def background(self, points: np.ndarray) -> np.ndarray:
+        """Return (n,) bool: in the place of which of the (n, 3) points, in voxel coordinates, a view sees background."""
+        found = np.zeros(len(points), bool)
+        left = np.arange(len(points))
+        # Few views rule most of the points out, those that look along other lines more of them.
+        for group in range(0, len(self.cameras), VIEWS_AT_ONCE):
+            used = np.zeros(len(self.cameras), bool)
+            used[self.spread_order[group:group + VIEWS_AT_ONCE]] = True
+            found[left] = self.outside.take(self.subset(used).locate(points[left])).any(axis=0)
+            left = left[~found[left]]
+        return found
+
+    @cached_property
+    def spread_order(self) -> list[int]:
+        """The views in the order of `bounds.spread_order`."""
+        return spread_order(self.cameras)
+
+    def at(self, rows: np.ndarray, rgba: np.ndarray | None = None, *, spread: bool = True, cells: bool = False) -> Samples:
         """Return the samples in given rows (v, n), as `locate` returns them.
 
         Parameters
@@ -200,13 +222,15 @@ class Pictures:
         rows : (v, n) intp array
         rgba : (p, 4) float32 array, optional
             Read instead of ``self.rgba``: the same with some pixels zeroed.
-        cells : bool
-            Whether the samples are to have sets of colours.
+        spread, cells : bool
+            Whether the samples are to have variances and sets of colours.
         """
         found = gather(self.rgba if rgba is None else rgba, rows)
-        spread = gather(self.spread, rows) * np.maximum(found[..., 3:], 0)
-        sets = self.cells[rows] * (found[..., 3:] > 0) if cells else None
-        return Samples(found, spread[..., :3], spread[..., 3], found[..., :3], found[..., :3], sets)
+        samples = Samples(found, found[..., :3], found[..., :3])
+        if spread:
+            window = gather(self.spread, rows) * found[..., 3:]
+            samples = replace(samples, variance=window[..., :3], pixels=window[..., 3])
+        return replace(samples, cells=self.cells[rows] * (found[..., 3:] > 0)) if cells else samples
 
     def patches(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Return the luminance (v, n, k) at the points of square patches about (n, 3) points, across normals (n, 3) of any length.
@@ -249,11 +273,11 @@ def color_cells(rgb: np.ndarray) -> np.ndarray:
     return np.where(inside[..., 0, :], bits[..., None], np.uint64(0))
 
 
-def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER, background: bool = False) -> tuple[np.ndarray, Camera]:
+def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER, background: bool = False) -> tuple[np.ndarray, np.ndarray, Camera]:
     """Return a view's picture (h, w, 4) without distortion, reduced, cut and with an empty border; and its camera.
 
-    The fourth channel is 1 where the picture shows the object and nothing else, and the others are zero elsewhere. With
-    ``background`` it is -1 where a voxel's centre is seen only if no part of the voxel is inside the mask.
+    The fourth channel is 1 where the picture shows the object and nothing else, and the others are zero elsewhere. In
+    between, for ``background``, is where it shows background: (h, w) bool.
     """
     image, camera = straightened(premultiplied(view, border=border), view.camera)
     corners = grid.origin + np.array(list(product((0, 1), repeat=3))) * (grid.upper - grid.origin)
@@ -261,15 +285,14 @@ def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER, background: b
     image, camera = reduced(image, step), camera.scaled(1 / step)
     whole = image[..., 3] > 0.999
     image = np.where(whole[..., None], image / np.maximum(image[..., 3:], 1e-6), 0).astype(np.float32)
-    shown = whole
+    outside = np.zeros_like(whole)
     if background and view.mask is not None:
         outside = _background(view, step, voxel=_voxel_in_pixels(camera, corners, grid.voxel_size))
-        image[outside, 3] = -1
-        shown = whole | outside
-    left, top, right, bottom = _window(camera, corners, shown)
-    image = cv2.copyMakeBorder(image[top:bottom, left:right], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0, 0, 0, 0))
+    left, top, right, bottom = _window(camera, corners, whole | outside)
+    image, outside = (cv2.copyMakeBorder(array[top:bottom, left:right], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0, 0, 0, 0))
+                      for array in (image, outside.astype(np.uint8)))
     shift = np.array([[1, 0, 1 - left], [0, 1, 1 - top], [0, 0, 1]])
-    return image, replace(camera, K=shift @ camera.K, size=image.shape[1::-1])
+    return image, outside > 0, replace(camera, K=shift @ camera.K, size=image.shape[1::-1])
 
 
 def premultiplied(view: View, *, border: int = 0) -> np.ndarray:

@@ -69,6 +69,18 @@ def pictures_of(scan: Scan, grid: VoxelGrid, kind: str, progress: Progress = sil
     return Pictures.of(scan.views, grid, progress, background=kind == "box")
 
 
+def carve_background(carving: Carving, pictures: Pictures) -> int:
+    """Take out the voxels in whose place a view sees background, from the outside in; return how many."""
+    removed, front = 0, carving.surface_keys()
+    carving.forget()
+    carving.enqueue(front)
+    while pictures.outside.any() and len(front):
+        gone = front[pictures.background(carving.voxels(front) + 0.5)]
+        carving.remove(gone)
+        removed, front = removed + len(gone), carving.exposed_by(gone)
+    return removed
+
+
 @dataclass(frozen=True)
 class Colored:
     """Colours of voxels: keys (n,), linear rgb (n, 3) and the number of views that they are from (n,), 0 for none."""

@@ -44,7 +44,7 @@ OPTIONS = (
     Option("independence", 0.3, "How much of each picture's evidence counts: at 1 the pictures' errors are taken to have nothing in "
                                 "common, which makes too sure of everything", minimum=0.01, maximum=1.0),
     Option("passes", 16, "How often visibility and colours are estimated anew, at most", minimum=1, maximum=100),
-    Option("threshold", 0.5, "A voxel that is less probable is not in the volume; can be changed afterwards", minimum=0.0, maximum=1.0),
+    Option("least_probability", 0.5, "A voxel that is less probable is not in the volume; can be changed afterwards", minimum=0.0, maximum=1.0),
 )
 
 LEAST, MOST = 1e-3, 0.999  # probability
@@ -114,7 +114,7 @@ def probabilistic_bounds(scan: Scan, *, rule: str, **options) -> np.ndarray:
 
 
 def probabilistic_carving(scan: Scan, grid: VoxelGrid, *, rule: str = "center", prior: float = 0.65, noise: float = 0.02,
-                          independence: float = 0.3, passes: int = 16, threshold: float = 0.5,
+                          independence: float = 0.3, passes: int = 16, least_probability: float = 0.5,
                           progress: Progress = silent) -> Outcome:
     """Estimate the probability that voxels of the visual hull are occupied.
 
@@ -124,7 +124,7 @@ def probabilistic_carving(scan: Scan, grid: VoxelGrid, *, rule: str = "center", 
     grid : VoxelGrid
     rule : {'center', 'conservative'}
         Of the hull. The conservative one is a layer of half-filled voxels too large, which are neither occupied nor empty.
-    prior, noise, independence, passes, threshold
+    prior, noise, independence, passes, least_probability
         See `OPTIONS`.
     progress : Progress
 
@@ -132,12 +132,12 @@ def probabilistic_carving(scan: Scan, grid: VoxelGrid, *, rule: str = "center", 
     -------
     Outcome
         With the layer ``probability``: of all voxels that a picture tells about, the ``probability`` and the linear colour
-        ``red``, ``green``, ``blue``. The volume is the hull without those of them that are not above the threshold.
+        ``red``, ``green``, ``blue``. The volume is the hull without those of them that are not above ``least_probability``.
 
     Raises
     ------
     ScanstageError
-        There are fewer than two views, no hull can be carved, or nothing is above the threshold.
+        There are fewer than two views, no hull can be carved, or nothing is probable enough.
     """
     if len(scan.views) < 2:
         raise ScanstageError(f"the capture has {len(scan.views)} view(s): colours can only be compared between two or more; capture more")
@@ -156,9 +156,9 @@ def probabilistic_carving(scan: Scan, grid: VoxelGrid, *, rule: str = "center", 
             break
         belief = belief.extended(Belief.of(grown, prior, len(scan.views)))
     layer, undecided = _layer(belief, population, prior)
-    volume = above(hull.volume, layer, threshold)
+    volume = above(hull.volume, layer, least_probability)
     if not volume.count():
-        raise ScanstageError(f"no voxel is more probable than {threshold:g}: lower the threshold (--set threshold=...), or check the poses "
+        raise ScanstageError(f"no voxel is more probable than {least_probability:g}: lower it (--set least_probability=...), or check the poses "
                              "and that the light keeps still with respect to the object")
     counts = {"judged": len(layer.voxels), "removed": hull.volume.count() - volume.count(), "undecided": undecided}
     return Outcome(volume, {"counts": counts, "passes": number, "warnings": hull.report["warnings"]}, layers={LAYER: layer})

@@ -25,6 +25,7 @@ from .footprints import Pictures, Samples
 
 LEAST_FACING = 0.1  # cosine; surfaces seen more obliquely are not judged
 SAMPLES_AT_ONCE = 1 << 16  # views times voxels: their arrays stay in the cache
+PIXELS_AT_ONCE = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -108,12 +109,14 @@ def sweep(carving: Carving, pictures: Pictures, judge: Judge, order: Order, prog
         stayed = []
         while layer in waiting:
             front = np.concatenate(waiting.pop(layer))
-            refused, rgb, views = judged(front, carving, passed, judge, rgba)
-            stayed.append((front[~refused], rgb[~refused], views[~refused]))
-            tested, removed = tested + len(front), removed + int(refused.sum())
-            carving.remove(front[refused])
-            exposed = carving.exposed_by(front[refused])
-            _wait(waiting, carving, order, exposed, layer)
+            outside = passed.background(carving.voxels(front) + 0.5) if pictures.outside.any() else np.zeros(len(front), bool)
+            inside = front[~outside]
+            refused, rgb, views = judged(inside, carving, passed, judge, rgba)
+            stayed.append((inside[~refused], rgb[~refused], views[~refused]))
+            gone = np.concatenate((front[outside], inside[refused]))
+            tested, removed = tested + len(front), removed + len(gone)
+            carving.remove(gone)
+            _wait(waiting, carving, order, carving.exposed_by(gone), layer)
         kept += stayed
         for rows in covered(passed, carving.voxels(np.concatenate([keys for keys, _, _ in stayed]))):
             rgba.view(np.complex128)[rows, 0] = 0
@@ -146,8 +149,8 @@ def judged(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge,
     for part in (slice(start, start + step) for start in range(0, len(keys), step)):
         samples = sampled(keys[part], carving, pictures, judge, rgba)
         enough = samples.views >= judge.min_views
-        refused[part] = judge.refuses(samples) | samples.background
-        colors[part][enough], count[part][enough] = samples.colors()[enough], samples.views[enough]
+        refused[part] = judge.refuses(samples)
+        colors[part][enough], count[part][enough] = samples.colors[enough], samples.views[enough]
     return refused, colors, count
 
 
@@ -169,7 +172,7 @@ def covered(pictures: Pictures, voxels: np.ndarray) -> Iterator[np.ndarray]:
     A cube appears as a hexagon: what its three edges, moved along each other, sweep over. A point lies in it if for each
     edge it is not farther across the edge than half of the others' extent. Perspective within one voxel is left out.
     """
-    step = max(1, SAMPLES_AT_ONCE // max(1, len(pictures.cameras)))
+    step = max(1, PIXELS_AT_ONCE // max(1, len(pictures.cameras)))
     for start in range(0, len(voxels) if pictures.cameras else 0, step):
         x, y, depth = pictures.project(voxels[start:start + step] + 0.5)
         view, voxel = np.nonzero(depth > 0)
@@ -177,19 +180,24 @@ def covered(pictures: Pictures, voxels: np.ndarray) -> Iterator[np.ndarray]:
         edges = pictures.matrices[view, :, :3]
         ex = (edges[:, 0].T - x * edges[:, 2].T) / depth  # (3, m): how the image moves along each edge
         ey = (edges[:, 1].T - y * edges[:, 2].T) / depth
-        yield from _hexagons(pictures, view, x, y, ex, ey)
+        reach = 0.5 * np.abs(ex).sum(axis=0), 0.5 * np.abs(ey).sum(axis=0)
+        columns, rows = (int(2 * extent.max(initial=0)) + 1 for extent in reach)
+        size = max(1, PIXELS_AT_ONCE // (columns * rows))
+        for own in (slice(first, first + size) for first in range(0, len(x), size)):
+            yield _hexagons(pictures, view[own], (x[own], y[own]), (ex[:, own], ey[:, own]), (columns, rows))
 
 
-def _hexagons(pictures: Pictures, view: np.ndarray, x: np.ndarray, y: np.ndarray, ex: np.ndarray, ey: np.ndarray) -> Iterator[np.ndarray]:
-    reach_x, reach_y = 0.5 * np.abs(ex).sum(axis=0), 0.5 * np.abs(ey).sum(axis=0)
-    column, row = np.ceil(x - reach_x - 0.5), np.ceil(y - reach_y - 0.5)  # pixels' centres are at halves
+def _hexagons(pictures: Pictures, view: np.ndarray, middle: tuple[np.ndarray, np.ndarray], edges: tuple[np.ndarray, np.ndarray],
+              box: tuple[int, int]) -> np.ndarray:
+    """Return the rows of the pixels in hexagons, given by middles (m,) and edges (3, m); none covers more than ``box``."""
+    (x, y), (ex, ey) = middle, edges
+    column = np.ceil(x - 0.5 * np.abs(ex).sum(axis=0) - 0.5)[:, None] + np.tile(np.arange(box[0], dtype=np.float32), box[1])
+    row = np.ceil(y - 0.5 * np.abs(ey).sum(axis=0) - 0.5)[:, None] + np.repeat(np.arange(box[1], dtype=np.float32), box[0])
+    right, down = column + 0.5 - x[:, None], row + 0.5 - y[:, None]  # pixels' centres are at halves
     across = 0.5 * np.abs(ex[:, None] * ey - ey[:, None] * ex).sum(axis=0) + np.float32(1e-9)
-    a, b = ey / across, -ex / across
-    base = a * (column + 0.5 - x) + b * (row + 0.5 - y)
-    width, height = pictures.sizes[view].T
-    flat = pictures.offset[view] + (row * width + column).astype(np.intp)
-    for down in range(int(2 * reach_y.max(initial=0)) + 1):
-        for right in range(int(2 * reach_x.max(initial=0)) + 1):
-            inside = (np.abs(base + (a * right + b * down)) <= 1).all(axis=0)
-            inside &= (column + right >= 0) & (column + right < width) & (row + down >= 0) & (row + down < height)
-            yield (flat + (down * width + right))[inside]
+    a, b = (ey / across)[..., None], (ex / across)[..., None]
+    width, height = pictures.sizes[view].T[..., None]
+    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    for edge in range(3):
+        inside &= np.abs(a[edge] * right - b[edge] * down) <= 1
+    return (pictures.offset[view][:, None] + (row * width + column).astype(np.intp))[inside]

@@ -169,7 +169,7 @@ def test_thresholds_above_the_prior_keep_what_nobody_sees():
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"threshold": 1.0}, "no voxel is more probable than 1"),
+    ({"least_probability": 1.0}, "no voxel is more probable than 1"),
 ])
 def test_a_volume_of_nothing_is_refused(options, message):
     views = painted_views(ring(6, elevation=20), [Ball((0, 0, 0), 0.1)], marbled)
