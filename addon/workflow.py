@@ -65,14 +65,14 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     own = methods.check_call(method, voxels=voxels, bounds=bounds, options=own)
     if own.get("rule") == "center":
         silhouette.setdefault("conservative", False)  # the rule is unbiased only with masks that are
-    scan = load_scan(capture, silhouette, part_of(progress, 0.0, 0.2))
+    scan = load_scan(capture, silhouette, part_of(progress, 0.0, 0.2), silhouettes="silhouettes" in methods.METHODS[method].needs)
     found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
     report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": silhouette}
     up = upward([view.camera for view in scan.views])
     preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
     write_result(out, volume=found.volume, surface=found.surface, colors=found.colors, report=report, preview=preview,
-                 layers=found.layers, pictures=found.pictures)
+                 layers=found.layers, pictures=found.pictures, points=found.points)
     progress(1.0, "Result written")
     return report
 
@@ -111,7 +111,7 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     Returns
     -------
     dict
-        ``volume`` and ``surface``, as the design names them.
+        ``volume`` and ``surface``, as the design names them, and ``points`` where the result has points.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def evaluate_result(folder: Path, truth: TriangleMesh | None = None, *, options:
     values = resolve(EVALUATION_OPTIONS, options or {}, "evaluate")
     result = read_result(folder)
     truth = truth_of(result) if truth is None else truth
-    measures = evaluate(result.volume, result.surface, truth, progress=progress, **values)
+    measures = evaluate(result.volume, result.surface, truth, points=result.points, progress=progress, **values)
     report_section(folder, "evaluation", measures)
     return measures
 

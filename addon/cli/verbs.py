@@ -16,15 +16,19 @@ import numpy as np
 
 from ..captures.importers import IMPORTERS as FORMATS
 from ..captures.importers import import_capture
+from ..captures.pattern_files import write_patterns
+from ..captures.schema import ENCODINGS
 from ..errors import ScanstageError
 from ..options import Option
 from ..progress import Progress
+from ..reconstruction.active.patterns import PATTERN_SETS, make_patterns
 from ..reconstruction.methods import DEFAULT_VOXELS, METHODS
 from ..workflow import evaluate_result, reconstruct, reconstruct_options
 from .progress_bar import drain
 from .text import measure_lines, option_lines, reconstruction_lines
 
 DEFAULT_OBJECT = "dented-sphere"
+DEFAULT_PROJECTOR = (1280, 720)
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,29 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
 def _import(call: argparse.Namespace, progress: Progress) -> dict:
     capture = import_capture(call.format, call.source, call.out, dict(call.settings), progress)
     return {"capture": str(call.out), "frames": len(capture.frames), "lines": [f"{call.out}: {len(capture.frames)} frames"]}
+
+
+def _patterns_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("set", metavar="SET", help=", ".join(PATTERN_SETS))
+    parser.add_argument("--out", metavar="DIR", required=True, type=Path, help="for the pictures: a new or empty folder")
+    parser.add_argument("--size", metavar=("WIDTH", "HEIGHT"), nargs=2, type=int, default=DEFAULT_PROJECTOR,
+                        help="of the projector in pixels (default: {} {})".format(*DEFAULT_PROJECTOR))
+    parser.add_argument("--encoding", choices=ENCODINGS, default="srgb",
+                        help="how the projector turns values into light (default: srgb, as screens do)")
+
+
+def _patterns(call: argparse.Namespace, progress: Progress) -> dict:
+    made = make_patterns(call.set, tuple(call.size), dict(call.settings))
+    write_patterns(call.out, made, encoding=call.encoding, progress=progress)
+    return {"folder": str(call.out), "patterns": len(made), "lines": [f"{call.out}: {len(made)} patterns of {call.set}"]}
+
+
+def _pattern_sets() -> str:
+    """Return the pattern sets with their options, for the end of the help."""
+    lines = ["pattern sets:"]
+    for name, entry in PATTERN_SETS.items():
+        lines += [f"  {name}: {entry.description}", *(f"  {line}" for line in option_lines(entry.options))]
+    return "\n".join(lines).replace("%", "%%")
 
 
 def _reconstruct_arguments(parser: argparse.ArgumentParser) -> None:
@@ -195,6 +222,7 @@ VERBS = {
     "capture": Verb("render the plan of a staged scene into a capture set; resumes", _capture_arguments, _capture),
     "import": Verb("turn other people's captures into a capture set", _import_arguments, _import,
                    "formats:\n" + "\n".join(f"  {name}: {entry.description}" for name, entry in FORMATS.items())),
+    "patterns": Verb("write a set of patterns as pictures for a real projector", _patterns_arguments, _patterns, _pattern_sets()),
     "reconstruct": Verb("run one method on a capture set", _reconstruct_arguments, _reconstruct),
     "evaluate": Verb("compare a result with the truth", _evaluate_arguments, _evaluate),
     "mesh": Verb("write a result's voxel mesh as a file for other programs", _mesh_arguments, _mesh),

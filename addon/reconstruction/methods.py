@@ -19,8 +19,11 @@ from ..errors import ScanstageError
 from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
+from .active import laser_stripe, structured_light
+from .active.measurement import measured_bounds, points_to_voxels
 from .geometry import VoxelGrid
 from .outcome import Outcome, VoxelLayer
+from .points import PointCloud
 from .scan import Scan
 from .volumetric import generalized_voxel_coloring, photo_hull, probabilistic_carving, space_carving, visual_hull, voxel_coloring
 from .volumetric.coloring import SurfaceColors, color_surface
@@ -44,13 +47,16 @@ class Method:
     Parameters
     ----------
     name, label, description : str
-    needs : tuple of {'silhouettes', 'colour'}
+    needs : tuple of {'silhouettes', 'colour', 'patterns'}
         What a capture must hold.
     options : tuple of Option
     function : callable
         ``function(scan, grid, *, progress, **options) -> Outcome``.
     bounds : callable
         ``bounds(scan, **options) -> (2, 3) array``: the working volume where the user gives none.
+    measure : callable, optional
+        ``measure(scan, *, progress, **options)``: what the method finds before there is a working volume. ``function`` and
+        ``bounds`` then take it as ``measured``.
     """
 
     name: str
@@ -60,6 +66,7 @@ class Method:
     options: tuple[Option, ...]
     function: Callable[..., Outcome]
     bounds: Callable[..., np.ndarray]
+    measure: Callable[..., object] | None = None
 
 
 METHODS = {method.name: method for method in (
@@ -75,6 +82,12 @@ METHODS = {method.name: method for method in (
     Method("probabilistic-carving", "Probabilistic Carving", "How probable each voxel is, given what all pictures show and what hides what",
            ("silhouettes", "colour"), probabilistic_carving.OPTIONS, probabilistic_carving.probabilistic_carving,
            probabilistic_carving.probabilistic_bounds),
+    Method("gray-code", "Gray Code", "Points where the camera sees a projector's Gray code, to a column",
+           ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, structured_light.measure_gray_code),
+    Method("phase-shift", "Phase Shift", "Points where the camera sees a projector's sinusoids, to a small part of a column",
+           ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, structured_light.measure_phase_shift),
+    Method("laser-stripe", "Laser Stripe", "Points where the camera sees a stripe, or a point, of light that sweeps over the object",
+           ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, laser_stripe.measure_laser_stripe),
 )}
 
 
@@ -93,6 +106,8 @@ class Reconstruction:
         Plain JSON values: method, options, grid, counts, seconds, peak memory, warnings.
     layers, pictures : mapping
         As in `Outcome`.
+    points : PointCloud, optional
+        As in `Outcome`.
     """
 
     volume: SparseVolume
@@ -101,6 +116,7 @@ class Reconstruction:
     report: dict
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
     pictures: Mapping[str, np.ndarray] = field(default_factory=dict)
+    points: PointCloud | None = None
 
 
 @dataclass
@@ -146,13 +162,17 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     """
     entry = find_method(method)
     values = check_call(method, voxels=voxels, bounds=bounds, options=options)
-    watch = Stopwatch()
+    watch, measured = Stopwatch(), {}
+    if entry.measure is not None:
+        with watch.step("measure"):
+            measured["measured"] = entry.measure(scan, progress=part_of(progress, 0.0, 0.4), **values)
+        progress = part_of(progress, 0.4, 1.0)
     with watch.step("bounds"):
-        box = bounds if bounds is not None else entry.bounds(scan, **values)
+        box = bounds if bounds is not None else entry.bounds(scan, **measured, **values)
         _refuse_too_large(box, voxels, scan)
         grid = _grid(box, voxels)
     with watch.step("carve"):
-        outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **values)
+        outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **measured, **values)
     volume, found = outcome.volume, dict(outcome.report)
     with watch.step("surface"):
         surface = outcome.surface or extract_surface(volume)
@@ -171,7 +191,7 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         "silhouette_iou": {"mean": round(float(np.mean(list(ious.values()))), 4) if ious else None, "views": ious},
         "seconds": watch.seconds, "peak_memory": peak_memory(), "warnings": warnings, **found,
     }
-    return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures)
+    return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures, outcome.points)
 
 
 def _silhouette_ious(surface: Surface, grid: VoxelGrid, scan: Scan, progress: Progress) -> dict[str, float]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .points import PointCloud
 from .volumetric.coloring import SurfaceColors
 from .volumetric.surface import Surface
 from .volumetric.volume import SparseVolume
@@ -53,6 +54,8 @@ class Outcome:
     layers : mapping of str to VoxelLayer
     pictures : mapping of str to (h, w, 3) uint8 array
         sRGB, to be looked at.
+    points : PointCloud, optional
+        Where the method measures points; the volume is then made of them.
     """
 
     volume: SparseVolume
@@ -61,6 +64,7 @@ class Outcome:
     colors: SurfaceColors | None = None
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
     pictures: Mapping[str, np.ndarray] = field(default_factory=dict)
+    points: PointCloud | None = None
 
     def __post_init__(self) -> None:
         if self.colors is not None and (self.surface is None or len(self.colors.rgb) != len(self.surface.voxels)):

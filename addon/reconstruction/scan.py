@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,8 +35,33 @@ class LitPicture:
 
 
 @dataclass(frozen=True)
+class ProjectedPicture:
+    """A picture of a view's own camera and pose, taken while a pattern was projected.
+
+    Parameters
+    ----------
+    name : str
+        The frame's id, for reports.
+    pattern : mapping
+        The pattern's fields (see `active.patterns`), but that a ``plane`` is in the object frame.
+    projector_id : str, optional
+        The projector's id in the capture set.
+    projector : Camera, optional
+        In the object frame. None where the pattern itself says where its light is, as a laser's does.
+    read_image : callable
+        As `View.read_image`.
+    """
+
+    name: str
+    pattern: Mapping[str, object]
+    projector_id: str | None
+    projector: Camera | None
+    read_image: Callable[[], np.ndarray]
+
+
+@dataclass(frozen=True)
 class View:
-    """One captured picture, and those that differ from it by their light only.
+    """One captured picture, and those that differ from it by their light or by what is projected only.
 
     Parameters
     ----------
@@ -51,6 +76,9 @@ class View:
         time, so that a scan's pictures never lie in memory together.
     lit : tuple of LitPicture
         The same camera and pose under single lights of an array.
+    projected : tuple of ProjectedPicture
+        The same camera and pose under projected patterns. Where every frame has one, the view's own picture is that under
+        white, or else the first, and there is no mask.
     """
 
     name: str
@@ -58,6 +86,7 @@ class View:
     mask: np.ndarray | None
     read_image: Callable[[], np.ndarray]
     lit: tuple[LitPicture, ...] = ()
+    projected: tuple[ProjectedPicture, ...] = ()
 
 
 @dataclass(frozen=True)

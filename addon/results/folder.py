@@ -8,6 +8,7 @@
 | ``volume.npz`` | ``occupancy`` bool ``[x, y, z]``, ``origin``, ``voxel_size``, ``surface_voxels`` (s, 3) int32, |
 | | ``surface_colors`` (s, 3) float32 linear, ``surface_views`` (s,) uint16 |
 | | and the layers (see `layers`) |
+| ``points.ply`` | where the method measures points: positions, normals, sRGB colours, ``sigma``, ``view`` |
 | ``mesh.ply`` | the voxels' faces as quads, with sRGB colours at the vertices |
 | ``preview.png`` | a picture of it |
 | ``pictures/*.png`` | what the method has to show besides, where it has |
@@ -32,15 +33,17 @@ from ..files import replacing, sibling
 from ..reconstruction.color import linear_to_srgb
 from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.outcome import VoxelLayer
+from ..reconstruction.points import PointCloud
 from ..reconstruction.volumetric.coloring import SurfaceColors
 from ..reconstruction.volumetric.surface import Surface, extract_surface
 from ..reconstruction.volumetric.volume import SparseVolume
 from .layers import layer_arrays, layer_fields, read_layers
 from .npz import AGAIN, check_size, open_volume, write_volume
 from .ply import write_ply
+from .point_file import read_points, write_points
 
 FORMAT, VERSION = "scanstage-result", 1
-REPORT, VOLUME, MESH, PREVIEW, PICTURES = "result.json", "volume.npz", "mesh.ply", "preview.png", "pictures"
+REPORT, VOLUME, MESH, PREVIEW, PICTURES, POINTS = "result.json", "volume.npz", "mesh.ply", "preview.png", "pictures", "points.ply"
 MAX_REPORT = 1 << 24
 _OURS = ("format", "version", "grid", "layers")
 
@@ -61,6 +64,8 @@ class Result:
         One row for each of ``surface.voxels``; None for a method that finds no colours.
     layers : mapping of str to VoxelLayer
         What the method says of chosen voxels.
+    points : PointCloud, optional
+        Of a method that measures points.
     """
 
     folder: Path
@@ -69,6 +74,7 @@ class Result:
     surface: Surface
     colors: SurfaceColors | None
     layers: Mapping[str, VoxelLayer] = field(default_factory=dict)
+    points: PointCloud | None = None
 
 
 def check_replaceable(folder) -> None:
@@ -97,7 +103,7 @@ def check_replaceable(folder) -> None:
 
 def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: SurfaceColors | None, report: dict,
                  preview: np.ndarray, layers: Mapping[str, VoxelLayer] | None = None,
-                 pictures: Mapping[str, np.ndarray] | None = None) -> None:
+                 pictures: Mapping[str, np.ndarray] | None = None, points: PointCloud | None = None) -> None:
     """Write a result folder, in place of an older result or an empty folder.
 
     Parameters
@@ -114,6 +120,7 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
     layers : mapping of str to VoxelLayer, optional
     pictures : mapping of str to (h, w, 3) uint8 array, optional
         By the names of their files, without ending.
+    points : PointCloud, optional
 
     Raises
     ------
@@ -139,6 +146,8 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
         temporary.mkdir(parents=True)
         write_volume(temporary / VOLUME, volume, arrays)
         write_ply(temporary / MESH, surface.vertices, surface.quads, vertex_colors=vertex_colors)
+        if points is not None:
+            write_points(temporary / POINTS, points)
         if pictures:
             (temporary / PICTURES).mkdir()
         for name, data in files.items():
@@ -178,7 +187,8 @@ def read_result(folder) -> Result:
                 raise ScanstageError(f"{folder / VOLUME}: surface_colors holds a colour that is not finite; {AGAIN}")
             colors = SurfaceColors(rgb, file.array("surface_views", "<u2", (len(rows),))[rows])
         layers = read_layers(file, report.get("layers", {}), grid, folder / REPORT)
-    return Result(folder, report, volume, surface, colors, layers)
+    points = read_points(folder / POINTS) if (folder / POINTS).exists() else None
+    return Result(folder, report, volume, surface, colors, layers, points)
 
 
 def report_section(folder, name: str, section: dict) -> None:

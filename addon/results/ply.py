@@ -7,7 +7,7 @@ A file that is read is untrusted: its header is checked against the file's real 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,11 +22,11 @@ BLOCK = 1 << 16
 _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
           "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
           "float32": "f4", "float64": "f8"}
-_NAMES = {"<f4": "float", "<f8": "double", "|u1": "uchar"}
+_NAMES = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort"}
 
 
 def write_ply(path, vertices, faces=None, *, vertex_colors=None, face_colors=None, normals=None,
-              double: bool = False, comments: Iterable[str] = ()) -> None:
+              attributes: Mapping[str, np.ndarray] | None = None, double: bool = False, comments: Iterable[str] = ()) -> None:
     """Write a mesh or a point cloud, whole or not at all.
 
     Parameters
@@ -39,6 +39,8 @@ def write_ply(path, vertices, faces=None, *, vertex_colors=None, face_colors=Non
     vertex_colors, face_colors : (v, 3) and (f, 3) uint8 arrays, optional
         sRGB encoded, which is what viewers expect. Blender shows those of the vertices and ignores those of the faces.
     normals : (v, 3) array, optional
+    attributes : mapping of str to (v,) array, optional
+        More of every vertex, by the names of their properties: uint16, or anything else as float32.
     double : bool
         Store coordinates as float64 instead of float32.
     comments : iterable of str
@@ -55,6 +57,9 @@ def write_ply(path, vertices, faces=None, *, vertex_colors=None, face_colors=Non
         columns.append(("<f4", ("nx", "ny", "nz"), _table("normals", normals, 3, len(vertices))))
     if vertex_colors is not None:
         columns.append(("|u1", ("red", "green", "blue"), _colors("vertex_colors", vertex_colors, len(vertices))))
+    for name, values in (attributes or {}).items():
+        values = np.asarray(values)
+        columns.append(("<u2" if values.dtype == np.uint16 else "<f4", (name,), _table(name, values[..., None], 1, len(vertices))))
     header = ["ply", "format binary_little_endian 1.0"]
     header += [f"comment {' '.join(comment.split())}" for comment in comments]
     header += [f"element vertex {len(vertices)}"]

@@ -161,3 +161,60 @@ def test_lights_turn_with_their_direction():
     sun = Light("sun", None, np.array([0.0, 0.6, -0.8])).moved(TURNED)
     np.testing.assert_allclose(TURNED[:3, :3] @ sun.direction, [0.0, 0.6, -0.8], atol=1e-12)
     assert sun.position is None
+
+
+def rewrite(folder, **changes):
+    capture = read_capture(folder)
+    write_capture(folder, dataclasses.replace(capture, **changes))
+    return read_capture(folder)
+
+
+def test_frames_under_patterns_belong_to_the_view_of_their_camera_and_pose(capture_folder):
+    capture = read_capture(capture_folder)
+    plain, patterned = capture.frames
+    capture = rewrite(capture_folder, frames=(plain, dataclasses.replace(patterned, object_to_world=plain.object_to_world)))
+    view, = load_scan(capture_folder).views
+    assert view.mask is not None
+    picture, = view.projected
+    assert picture.name == "0002" and picture.pattern == {"kind": "gray-code", "bit": 3} and picture.projector_id == "beam"
+    np.testing.assert_array_equal(picture.projector.P, capture.projectors["beam"].P)
+    np.testing.assert_allclose(picture.read_image()[2, 3], 0.8, atol=0.005)
+
+
+def test_without_silhouettes_a_pose_that_has_only_patterns_is_a_view_too(capture_folder):
+    plain, patterned = load_scan(capture_folder, silhouettes=False).views
+    assert plain.projected == () and plain.mask is None and patterned.mask is None
+    capture = read_capture(capture_folder)
+    np.testing.assert_array_equal(patterned.camera.P, capture.camera_of(capture.frames[1]).P)
+    turned = capture.projectors["beam"].moved(capture.frames[1].object_to_world)
+    np.testing.assert_array_equal(patterned.projected[0].projector.P, turned.P)
+    assert not (capture_folder / "masks").exists()
+
+
+def test_a_lasers_plane_turns_with_the_object(capture_folder):
+    capture = rewrite(capture_folder, projectors={}, patterns={"stripes": {"kind": "laser", "plane": [0.6, 0.0, 0.8, 0.25]}})
+    picture, = load_scan(capture_folder, silhouettes=False).views[1].projected
+    assert picture.projector is None
+    *normal, offset = picture.pattern["plane"]
+    points = np.random.default_rng(1).normal(size=(20, 3))
+    motion = np.asarray(capture.frames[1].object_to_world)
+    world = points @ motion[:3, :3].T + motion[:3, 3]
+    np.testing.assert_allclose(points @ normal - offset, world @ [0.6, 0, 0.8] - 0.25, atol=1e-12)
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"patterns": {"stripes": {"kind": "laser", "plane": [0.6, 0.0, 0.8]}}}, r"patterns.stripes.plane: must have 4 entries"),
+    ({"patterns": {"stripes": {"kind": "laser", "plane": [2.0, 0.0, 0.0, 1.0]}}}, "patterns.stripes.plane: must begin with a unit normal"),
+    ({"patterns": {"stripes": {"kind": "white", "projector": "lamp"}}}, "patterns.stripes.projector: 'lamp' is not a projector"),
+])
+def test_a_pattern_that_names_no_light_is_refused(capture_folder, changes, words):
+    rewrite(capture_folder, **changes)
+    with pytest.raises(ScanstageError, match=f"^capture.json: {words}"):
+        load_scan(capture_folder)
+
+
+def test_with_several_projectors_a_pattern_must_name_its_own(capture_folder):
+    capture = read_capture(capture_folder)
+    rewrite(capture_folder, projectors={**capture.projectors, "second": capture.projectors["beam"]})
+    with pytest.raises(ScanstageError, match="^capture.json: patterns.stripes: must name its projector, one of beam, second"):
+        load_scan(capture_folder)

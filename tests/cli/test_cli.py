@@ -197,6 +197,7 @@ def test_methods_lists_every_option_with_default_unit_and_choices(run, tmp_path)
             assert listed[option.name]["choices"] == list(option.choices or ())
             assert all(f"      {choice}: {meaning}\n" in out for choice, meaning in (option.choices or {}).items())
     assert "  chroma_angle = 12 degrees: " in out  # 0.209 in the code
+    listed = {option["name"]: option for option in report["visual-hull"]["options"]}
     assert listed["chroma_angle"]["default"] == "12 degrees" and listed["chroma_angle"]["unit"] == "degrees"
 
 

@@ -43,8 +43,11 @@ def keywords(function) -> dict:
 
 @EVERY_METHOD
 def test_options_are_the_functions_keywords_with_the_same_defaults(method):
-    assert keywords(method.function) == {option.name: option.default for option in method.options}
-    assert keywords(method.bounds).keys() <= {option.name for option in method.options}
+    options = {option.name: option.default for option in method.options}
+    assert keywords(method.measure or method.function) == options
+    own = keywords(method.function).items() if method.measure is None else keywords(method.function).items() - {("measured", inspect.Parameter.empty)}
+    assert own <= options.items()
+    assert keywords(method.bounds).keys() <= options.keys()
 
 
 @EVERY_METHOD
@@ -52,7 +55,7 @@ def test_every_entry_can_be_shown(method):
     assert METHODS[method.name] is method
     for text in (method.label, method.description, *(option.description for option in method.options)):
         assert text.strip() and not text.endswith(".")
-    assert method.needs and set(method.needs) <= {"silhouettes", "colour"}
+    assert method.needs and set(method.needs) <= {"silhouettes", "colour", "patterns"}
 
 
 @EVERY_METHOD

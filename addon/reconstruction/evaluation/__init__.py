@@ -7,9 +7,9 @@ triangles alone.
 """
 
 from .distances import SurfaceIndex, sample_surface, vertex_distances
-from .measures import OPTIONS, evaluate, surface_measures, volume_measures
+from .measures import OPTIONS, evaluate, point_measures, surface_measures, volume_measures
 from .overlap import touched
 from .voxelization import inside, wholly_inside
 
-__all__ = ["OPTIONS", "SurfaceIndex", "evaluate", "inside", "sample_surface", "surface_measures", "touched",
+__all__ = ["OPTIONS", "SurfaceIndex", "evaluate", "inside", "point_measures", "sample_surface", "surface_measures", "touched",
            "vertex_distances", "volume_measures", "wholly_inside"]

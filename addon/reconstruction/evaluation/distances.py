@@ -226,6 +226,19 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", a, b)
 
 
+def nearest_distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return how far points (n, 3) are from the nearest of other points (m, 3), at least one: (n,) float64."""
+    others = np.asarray(others, np.float64)
+    centre = others.mean(axis=0)  # single precision serves best round zero
+    kept = (others - centre).astype(np.float32)  # the tree keeps no copy
+    tree = cv2.flann_Index(kept, {"algorithm": KDTREE_SINGLE, "leaf_max_size": 10})
+    distance = np.zeros(len(points))
+    for start in range(0, len(points), CHUNK):
+        near, _ = tree.knnSearch((points[start:start + CHUNK] - centre).astype(np.float32), 1, params={"checks": -1})
+        distance[start:start + CHUNK] = np.linalg.norm(points[start:start + CHUNK] - others[near[:, 0]], axis=1)
+    return distance
+
+
 def vertex_distances(points: np.ndarray, mesh: TriangleMesh, *, signed: bool = True) -> np.ndarray:
     """Return how far points, such as the vertices of a result, are from a mesh: the numbers of a heat map.
 

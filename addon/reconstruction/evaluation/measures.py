@@ -17,9 +17,10 @@ from ...options import Option, Unit
 from ...progress import Progress, part_of, silent
 from ..geometry import VoxelGrid
 from ..mesh import TriangleMesh
+from ..points import PointCloud
 from ..volumetric.surface import Surface
 from ..volumetric.volume import BRICK, SparseVolume
-from .distances import SurfaceIndex, sample_surface
+from .distances import SurfaceIndex, nearest_distances, sample_surface
 from .overlap import slabs_of, touched_indices
 from .voxelization import inside_slabs
 
@@ -176,9 +177,45 @@ def surface_measures(result: TriangleMesh, truth: TriangleMesh, *, samples: int 
             "rms": float(np.sqrt(np.mean(to_truth ** 2)))}
 
 
-def evaluate(volume: SparseVolume | None, surface: Surface | TriangleMesh, truth: TriangleMesh, *,
+def point_measures(cloud: PointCloud, truth: TriangleMesh, *, samples: int = 100_000, tolerance: float = 0.0,
+                   seed: int = 0) -> Measures:
+    """Compare measured points with the truth, as they are: no registration hides an error of the calibration.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    truth : TriangleMesh
+    samples, tolerance, seed
+        As in `surface_measures`; of more points than ``samples``, so many are drawn at random.
+
+    Returns
+    -------
+    dict
+        ``count`` of the points; ``accuracy_90``, ``median``, ``rms`` of their distances from the truth; ``completeness``, the share of
+        the truth within the tolerance of a point, and of all of it: also of what no view saw.
+
+    Raises
+    ------
+    ScanstageError
+        The truth has no surface.
+    """
+    if not truth.area() > 0:
+        raise ScanstageError("truth: the mesh has no faces with an area; give a mesh with a surface")
+    if not len(cloud):
+        return {"count": 0, "accuracy_90": None, "median": None, "rms": None, "completeness": 0.0}
+    tolerance = tolerance or TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(truth.bounds(), axis=0)))
+    chosen = np.arange(len(cloud))
+    if len(cloud) > samples:
+        chosen = np.random.default_rng(seed).choice(len(cloud), samples, replace=False)
+    distance = SurfaceIndex(truth, nodes=samples).distances(cloud.positions[chosen]).distance
+    to_points = nearest_distances(sample_surface(truth, samples, seed=seed), cloud.positions)
+    return {"count": len(cloud), "accuracy_90": float(np.percentile(distance, 90)), "median": float(np.median(distance)),
+            "rms": float(np.sqrt(np.mean(distance ** 2))), "completeness": float((to_points <= tolerance).mean())}
+
+
+def evaluate(volume: SparseVolume | None, surface: Surface | TriangleMesh, truth: TriangleMesh, *, points: PointCloud | None = None,
              samples: int = 100_000, tolerance: float = 0.0, progress: Progress = silent) -> dict[str, Measures]:
-    """Return all measures of a result: ``volume`` (where it has one) and ``surface``.
+    """Return all measures of a result: ``volume`` and ``points`` (where it has them) and ``surface``.
 
     Parameters
     ----------
@@ -187,6 +224,8 @@ def evaluate(volume: SparseVolume | None, surface: Surface | TriangleMesh, truth
     surface : Surface or TriangleMesh
         The result's surface.
     truth : TriangleMesh
+    points : PointCloud, optional
+        The result's, where it has some.
     samples, tolerance
         As in `surface_measures`.
     progress : Progress
@@ -202,6 +241,8 @@ def evaluate(volume: SparseVolume | None, surface: Surface | TriangleMesh, truth
     if volume is not None:
         report["volume"] = volume_measures(volume, truth, progress=part_of(progress, 0.0, 0.5))
     report["surface"] = surface_measures(surface, truth, samples=samples, tolerance=tolerance,
-                                         progress=part_of(progress, 0.5, 1.0))
+                                         progress=part_of(progress, 0.5, 0.9))
+    if points is not None:
+        report["points"] = point_measures(points, truth, samples=samples, tolerance=tolerance)
     progress(1.0, "Compared with the truth")
     return report
