@@ -29,6 +29,7 @@ from ..stage import ownership, staging
 from ..stage.presets import PRESETS
 from .jobs import Job, idle, in_thread
 from .masks import show_masks
+from .probability import start_at_threshold
 from .properties import field_name, values_of
 from .viewport import frame_stage, show_colors
 
@@ -193,6 +194,7 @@ class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
                                       voxels=settings.voxels, bounds=bounds, options=options)
         found = yield from in_thread(_read, out)
         show_result(scene, found, smooth=settings.smooth)
+        start_at_threshold(settings, found)
         settings.result_lines, settings.measures = "\n".join(summary(report)), ""
 
     def show(self, context: bpy.types.Context) -> None:
@@ -218,6 +220,7 @@ class SCANSTAGE_OT_show_result(bpy.types.Operator):
             self.report({'ERROR'}, str(error))
             return {'CANCELLED'}
         show_result(context.scene, found, smooth=settings.smooth)
+        start_at_threshold(settings, found)
         settings.result_lines = "\n".join(summary(found.report))
         return {'FINISHED'}
 

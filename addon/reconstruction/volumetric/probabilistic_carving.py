@@ -44,7 +44,8 @@ OPTIONS = (
     Option("independence", 0.3, "How much of each picture's evidence counts: at 1 the pictures' errors are taken to have nothing in "
                                 "common, which makes too sure of everything", minimum=0.01, maximum=1.0),
     Option("passes", 16, "How often visibility and colours are estimated anew, at most", minimum=1, maximum=100),
-    Option("least_probability", 0.5, "A voxel that is less probable is not in the volume; can be changed afterwards", minimum=0.0, maximum=1.0),
+    Option("least_probability", 0.5, "A voxel that is less probable is not in the volume; can be changed afterwards", minimum=0.0,
+           maximum=1.0),
 )
 
 LEAST, MOST = 1e-3, 0.999  # probability
@@ -158,8 +159,8 @@ def probabilistic_carving(scan: Scan, grid: VoxelGrid, *, rule: str = "center", 
     layer, undecided = _layer(belief, population, prior)
     volume = above(hull.volume, layer, least_probability)
     if not volume.count():
-        raise ScanstageError(f"no voxel is more probable than {least_probability:g}: lower it (--set least_probability=...), or check the poses "
-                             "and that the light keeps still with respect to the object")
+        raise ScanstageError(f"no voxel is more probable than {least_probability:g}: lower it (--set least_probability=...), or check the "
+                             "poses and that the light keeps still with respect to the object")
     counts = {"judged": len(layer.voxels), "removed": hull.volume.count() - volume.count(), "undecided": undecided}
     return Outcome(volume, {"counts": counts, "passes": number, "warnings": hull.report["warnings"]}, layers={LAYER: layer})
 
