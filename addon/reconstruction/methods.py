@@ -25,7 +25,15 @@ from .geometry import VoxelGrid
 from .outcome import Outcome, VoxelLayer
 from .points import PointCloud
 from .scan import Scan
-from .volumetric import generalized_voxel_coloring, photo_hull, probabilistic_carving, space_carving, visual_hull, voxel_coloring
+from .volumetric import (
+    generalized_voxel_coloring,
+    photo_hull,
+    probabilistic_carving,
+    space_carving,
+    space_sweep,
+    visual_hull,
+    voxel_coloring,
+)
 from .volumetric.coloring import SurfaceColors, color_surface
 from .volumetric.item_buffer import reprojection_iou
 from .volumetric.surface import Surface, extract_surface
@@ -82,6 +90,8 @@ METHODS = {method.name: method for method in (
     Method("probabilistic-carving", "Probabilistic Carving", "How probable each voxel is, given what all pictures show and what hides what",
            ("silhouettes", "colour"), probabilistic_carving.OPTIONS, probabilistic_carving.probabilistic_carving,
            probabilistic_carving.probabilistic_bounds),
+    Method("space-sweep", "Space Sweep", "Points that edges of many pictures vote for, as a plane sweeps through the working volume",
+           ("silhouettes", "colour"), space_sweep.OPTIONS, space_sweep.space_sweep, photo_hull.photo_bounds),
     Method("gray-code", "Gray Code", "Points where the camera sees a projector's Gray code, to a column",
            ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, structured_light.measure_gray_code),
     Method("phase-shift", "Phase Shift", "Points where the camera sees a projector's sinusoids, to a small part of a column",
