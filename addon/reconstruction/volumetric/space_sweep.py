@@ -86,7 +86,8 @@ def space_sweep(scan: Scan, grid: VoxelGrid, *, contrast: float = 0.1, reach: fl
     Raises
     ------
     ScanstageError
-        There are fewer than three views or than ``votes``, edges are so dense that chance could give any number of votes, or no cell has enough.
+        There are fewer than three views or than ``votes``, edges are so dense that chance could give any number of votes, or no
+        cell has enough.
     """
     if len(scan.views) < 3:
         raise ScanstageError(f"the capture has {len(scan.views)} view(s): a space sweep tells points from chance by three or more; "
