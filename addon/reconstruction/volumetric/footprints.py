@@ -32,7 +32,7 @@ BORDER = 1  # pixels from a mask's outline in which background is mixed
 HALF_DIAGONAL = 0.87  # of a voxel
 PATCH = 5  # points along the side of a patch, a voxel apart
 COLOR_BINS = 8  # a channel
-OVERLAP = 0.25  # of a bin, into each of its neighbours
+OVERLAP = 0.1  # of a bin, into each of its neighbours
 VIEWS_AT_ONCE = 3
 
 
