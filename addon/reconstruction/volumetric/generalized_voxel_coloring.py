@@ -54,7 +54,7 @@ def generalized_voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hul
     """
     carving, warnings = photo_hull.start(scan, grid, start, part_of(progress, 0, 0.2))
     judge = Judge.of(consistency=consistency, threshold=threshold, noise=noise, min_views=min_views)
-    pictures = photo_hull.pictures_of(scan, grid, start, part_of(progress, 0.2, 0.3))
+    pictures = photo_hull.pictures_of(scan, grid, start, judge, part_of(progress, 0.2, 0.3))
     emptied = photo_hull.carve_background(carving, pictures)
     sight = Sight(pictures, carving)
     tested, removed = carve_by_sight(carving, sight, judge, part_of(progress, 0.4, 0.95))

@@ -10,6 +10,8 @@ since none asks cameras that the check has not asked. So the sweeps may stop whe
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from ...progress import Progress, part_of, silent
 from ..geometry import VoxelGrid
 from ..outcome import Outcome
@@ -23,7 +25,9 @@ from .sight import Sight
 from .sweeping import AXES, sweep
 
 OPTIONS = photo_hull.OPTIONS
+LEAST_ACROSS = 0.5  # of every line of sight at least one axis is nearer than that: its cosine is at least 0.577
 LEAST_CHANGE = 1e-3  # of the voxels that a round tests, for another round
+_ORDERS = tuple(replace(order, least_across=LEAST_ACROSS) for order in AXES)
 
 
 def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consistency: str = "adaptive", threshold: float = 0.0,
@@ -54,7 +58,7 @@ def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consisten
     """
     carving, warnings = photo_hull.start(scan, grid, start, part_of(progress, 0, 0.15))
     judge = Judge.of(consistency=consistency, threshold=threshold, noise=noise, min_views=min_views)
-    pictures = photo_hull.pictures_of(scan, grid, start, part_of(progress, 0.15, 0.2))
+    pictures = photo_hull.pictures_of(scan, grid, start, judge, part_of(progress, 0.15, 0.2))
     tested, removed, sweeps = _sweep_until_stable(carving, pictures, judge, part_of(progress, 0.2, 0.8))
     sight = Sight(pictures, carving)
     checked, refused = carve_by_sight(carving, sight, judge, part_of(progress, 0.8, 0.95))
@@ -69,7 +73,7 @@ def _sweep_until_stable(carving: Carving, pictures: Pictures, judge: Judge, prog
     tested = removed = sweeps = 0
     while True:
         swept = [sweep(carving, pictures, judge, order, part_of(progress, 1 - 0.9 ** (sweeps + way), 1 - 0.9 ** (sweeps + way + 1)))
-                 for way, order in enumerate(AXES)]
+                 for way, order in enumerate(_ORDERS)]
         sweeps += len(swept)
         tests, removals = sum(one.tested for one in swept), sum(one.removed for one in swept)
         tested, removed = tested + tests, removed + removals

@@ -55,7 +55,7 @@ def voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consiste
     carving, warnings = photo_hull.start(scan, grid, start, part_of(progress, 0, 0.2))
     order = ordinal_visibility(np.array([(view.camera.centre - grid.origin) / grid.voxel_size for view in scan.views]), carving)
     judge = Judge.of(consistency=consistency, threshold=threshold, noise=noise, min_views=min_views)
-    pictures = photo_hull.pictures_of(scan, grid, start, part_of(progress, 0.2, 0.4))
+    pictures = photo_hull.pictures_of(scan, grid, start, judge, part_of(progress, 0.2, 0.4))
     swept = sweep(carving, pictures, judge, order, part_of(progress, 0.4, 1.0))
     return photo_hull.outcome(carving, photo_hull.Colored(swept.keys, swept.rgb, swept.views), judge,
                               counts={"tested": swept.tested, "removed": swept.removed}, warnings=warnings,

@@ -122,7 +122,7 @@ def test_too_few_views_are_no_reason_to_refuse():
 def scene(texture):
     views = painted_views(ring(16, elevation=30, focal=430, size=(260, 230)) + ring(8, elevation=60, focal=430, size=(260, 230)),
                           [BALL], marbled if texture == "marbled" else checkered)
-    return Pictures.of(views, GRID)
+    return Pictures.of(views, GRID, cells=True)
 
 
 def checkered(points):
