@@ -104,8 +104,8 @@ def outcome(carving: Carving, colored: Colored, judge: Judge, *, counts: dict[st
     volume = carving.frozen()
     surface = extract_surface(volume)
     if not len(surface.voxels):
-        raise ScanstageError(f"no voxel is photo-consistent: raise the threshold (--set threshold=..., now {judge.threshold:g}), or check "
-                             "the poses and that the light keeps still with respect to the object")
+        raise ScanstageError(f"no voxel is photo-consistent: raise --set consistency_threshold=... (now {judge.threshold:g}), or check the "
+                             "poses and that the light keeps still with respect to the object")
     order = np.argsort(colored.keys)
     keys = carving.keys(surface.voxels)
     place = np.minimum(np.searchsorted(colored.keys, keys, sorter=order), len(order) - 1)

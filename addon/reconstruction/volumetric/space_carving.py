@@ -30,8 +30,8 @@ LEAST_CHANGE = 1e-3  # of the voxels that a round tests, for another round
 _ORDERS = tuple(replace(order, least_across=LEAST_ACROSS) for order in AXES)
 
 
-def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consistency: str = "adaptive", threshold: float = 0.0,
-                  noise: float = 0.01, min_views: int = 2, progress: Progress = silent) -> Outcome:
+def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consistency: str = "adaptive",
+                  consistency_threshold: float = 0.0, noise: float = 0.01, min_views: int = 2, progress: Progress = silent) -> Outcome:
     """Carve the photo hull by sweeps of planes.
 
     Parameters
@@ -41,7 +41,7 @@ def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consisten
     grid : VoxelGrid
     start : {'hull', 'box'}
         What is carved.
-    consistency, threshold, noise, min_views
+    consistency, consistency_threshold, noise, min_views
         See `consistency.OPTIONS`.
     progress : Progress
 
@@ -57,7 +57,7 @@ def space_carving(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consisten
         Nothing is left.
     """
     carving, warnings = photo_hull.start(scan, grid, start, part_of(progress, 0, 0.15))
-    judge = Judge.of(consistency=consistency, threshold=threshold, noise=noise, min_views=min_views)
+    judge = Judge.of(consistency=consistency, threshold=consistency_threshold, noise=noise, min_views=min_views)
     pictures = photo_hull.pictures_of(scan, grid, start, judge, part_of(progress, 0.15, 0.2))
     tested, removed, sweeps = _sweep_until_stable(carving, pictures, judge, part_of(progress, 0.2, 0.8))
     sight = Sight(pictures, carving)

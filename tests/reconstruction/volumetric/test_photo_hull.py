@@ -272,7 +272,7 @@ def test_every_measure_carves_with_every_method(scan):
     small = Scan(scan.views[::3], BOUNDS)
     for measure in MEASURES:
         for name in COLOR_METHODS:
-            report = reconstruct(small, name, voxels=12, options={"consistency": measure, "threshold": 30.0}).report
+            report = reconstruct(small, name, voxels=12, options={"consistency": measure, "consistency_threshold": 30.0}).report
             assert report["consistency"]["measure"] == measure and report["counts"]["coloured"] > 0
 
 
