@@ -14,7 +14,6 @@ OBJECTS = ("knot", "dented-sphere")
 VOXELS, VIEWS = 200, 24
 LEAST_PSNR, MOST_LOST, LEAST_DEPTH, LEAST_AUC = 28.0, 1e-3, 0.7, 0.95
 SETS = (("squirrel", "turntable_squirrel", "opencv"), ("dinosaur", "dino_sparse_ring", "middlebury"))
-SUPERSAMPLING = 3
 GREY = 0.214  # linear, behind the object in both pictures
 OFF = 3  # voxels
 
@@ -37,7 +36,7 @@ def held_back(figures, bar):
             for method in METHODS:
                 options = {"rule": "center"} if method == "visual-hull" else {}
                 found = methods.reconstruct(seen, method, voxels=VOXELS, options=options, progress=figures.told(bar, f"{name}, {method}"))
-                boxed[method], inside = picture_quality(found, held, Path(folder, "images", f"{held.name}.png"))
+                boxed[method], inside = picture_quality(found, held)
                 lost, excess = against(found.volume, truth)
                 missed += method != "visual-hull" and lost > MOST_LOST
                 bar.close()
@@ -48,36 +47,26 @@ def held_back(figures, bar):
     return missed
 
 
-def picture_quality(found, view, picture):
+def picture_quality(found, view):
     """Return the peak signal-to-noise ratios of a result, as a view would show it, against the view's own picture.
 
-    Both stand before grey and are compared as a screen shows them: in the box round the silhouette, and inside it as far as
-    no pixel is cut by the outline.
+    The result is rendered by its item buffer, one ray a pixel as in the picture. Both stand before grey and are compared as
+    a screen shows them: in the box round the silhouette, and inside it, two pixels from the outline.
     """
     import cv2
     import numpy as np
 
-    from addon.captures.pictures import read_picture
     from addon.reconstruction.color import linear_to_srgb
     from addon.reconstruction.volumetric.item_buffer import item_buffer
 
-    items = item_buffer(found.surface, found.volume.grid, view.camera.scaled(SUPERSAMPLING))[0]
-    shown = np.where((items >= 0)[..., None], found.colors.rgb[items], GREY).astype(np.float32)
-    shown = cv2.resize(shown, view.camera.size, interpolation=cv2.INTER_AREA)
-    rgb, alpha = read_picture(picture, "srgb" if picture_is_srgb(picture) else "linear")
-    real = rgb + GREY * (1 - alpha[..., None])
+    items = item_buffer(found.surface, found.volume.grid, view.camera)[0]
+    shown = np.where((items >= 0)[..., None], found.colors.rgb[items], GREY)
+    real = np.where(view.mask[..., None], view.read_image(), GREY)
     square = ((linear_to_srgb(np.clip(shown, 0, 1)) - linear_to_srgb(np.clip(real, 0, 1))) ** 2).mean(axis=2)
     rows, columns = np.nonzero(view.mask)
     box = square[rows.min():rows.max() + 1, columns.min():columns.max() + 1]
     inside = square[cv2.erode(view.mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0]
     return tuple(-10 * math.log10(part.mean()) for part in (box, inside))
-
-
-def picture_is_srgb(picture):
-    """Return how the capture set of a picture encodes it."""
-    from addon.captures.store import read_capture
-
-    return read_capture(picture.parents[1]).encoding == "srgb"
 
 
 def captured(name, folder, progress, options):
