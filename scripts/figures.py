@@ -7,10 +7,11 @@
     python3 scripts/figures.py                 both
 
     python3 scripts/figures.py held-back       methods of colour: what a camera that took no part sees (minutes)
+    python3 scripts/figures.py losses          what they lose of the object
     python3 scripts/figures.py bowl            how much of a bowl's inside they recover (minutes)
     python3 scripts/figures.py consistency     how well each photo-consistency measure tells a surface from thin air
     python3 scripts/figures.py color-photographs    the photographs by space carving and generalized voxel coloring
-    python3 scripts/figures.py colour          all four
+    python3 scripts/figures.py colour          all five
 
 Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
 SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
