@@ -6,6 +6,13 @@
     python3 scripts/figures.py photographs     two sets of photographs: how well the hull fits their masks
     python3 scripts/figures.py                 both
 
+    python3 scripts/figures.py held-back       methods of colour: what a camera that took no part sees (minutes)
+    python3 scripts/figures.py losses          what they lose of the object
+    python3 scripts/figures.py bowl            how much of a bowl's inside they recover (minutes)
+    python3 scripts/figures.py consistency     how well each photo-consistency measure tells a surface from thin air
+    python3 scripts/figures.py color-photographs    the photographs by space carving and generalized voxel coloring
+    python3 scripts/figures.py colour          all five
+
 Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
 SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
 """
@@ -16,8 +23,10 @@ import os
 import shutil
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
+import color_figures
 import environment
 import scanstage
 
@@ -33,6 +42,8 @@ SETS = (  # name, folder, import format, least mean IoU
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs]}
+    colour = {name: partial(function, sys.modules[__name__]) for name, function in color_figures.TABLES.items()}
+    tables |= {name: [print_table] for name, print_table in colour.items()} | {"colour": list(colour.values())}
     parser.add_argument("table", nargs="?", choices=tables, default="both")
     call = parser.parse_args()
     if importlib.util.find_spec("bpy") is None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from addon.captures.pictures import write_picture
@@ -107,7 +108,8 @@ def views_of(cameras, shapes) -> list[View]:
 def painted_views(cameras, shapes, paint) -> list[View]:
     """Return a view for each camera of matte shapes; ``paint`` gives the linear colours (n, 3) of surface points (n, 3).
 
-    Pictures are black beyond the shapes. A pixel shows what the ray through its centre meets.
+    Pictures are black beyond the shapes. A pixel shows what the ray through its centre meets; as those of captures, masks
+    cover every pixel that a shape may touch.
     """
     views = []
     for number, camera in enumerate(cameras):
@@ -116,7 +118,7 @@ def painted_views(cameras, shapes, paint) -> list[View]:
         mask = np.isfinite(distance)
         picture = np.zeros((*mask.shape, 3), np.float32)
         picture[mask] = paint(camera.centre + rays[mask] * distance[mask][:, None])
-        views.append(View(f"{number:04d}", camera, mask, lambda picture=picture: picture))
+        views.append(View(f"{number:04d}", camera, cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0, lambda picture=picture: picture))
     return views
 
 

@@ -158,7 +158,7 @@ MEASURES = {measure.name: measure for measure in (
 OPTIONS = (
     Option("consistency", "adaptive", "How colours are compared",
            choices={name: measure.description for name, measure in MEASURES.items()}),
-    Option("threshold", 0.0, "Highest score of a consistent voxel; 0 for the measure's own", minimum=0),
+    Option("consistency_threshold", 0.0, "Highest score of a consistent voxel; 0 for the measure's own", minimum=0),
     Option("noise", 0.01, "Standard deviation of the sensor's noise in linear colour, for the measures that ask for it", minimum=1e-4,
            maximum=1),
     Option("min_views", 2, "Views that must see a voxel before it is judged; with fewer it stays, uncoloured", minimum=2, maximum=64),

@@ -32,7 +32,7 @@ BORDER = 1  # pixels from a mask's outline in which background is mixed
 HALF_DIAGONAL = 0.87  # of a voxel
 PATCH = 5  # points along the side of a patch, a voxel apart
 COLOR_BINS = 8  # a channel
-OVERLAP = 0.25  # of a bin, into each of its neighbours
+OVERLAP = 0.1  # of a bin, into each of its neighbours
 VIEWS_AT_ONCE = 3
 
 
@@ -104,6 +104,8 @@ class Pictures:
     outside : (p,) bool array
         The pixels in which a voxel's centre is seen only if no part of the voxel is inside the mask; none where that was
         not asked for.
+    cells : (p, 8) uint64 array, optional
+        The colours within the window about each pixel: see `color_cells`.
     """
 
     cameras: tuple[Camera, ...]
@@ -112,10 +114,11 @@ class Pictures:
     rgba: np.ndarray
     spread: np.ndarray
     outside: np.ndarray
+    cells: np.ndarray | None = None
 
     @classmethod
     def of(cls, views: Sequence[View], grid: VoxelGrid, progress: Progress = silent, *, border: int = BORDER,
-           background: bool = False) -> Pictures:
+           background: bool = False, cells: bool = False) -> Pictures:
         """Read the pictures, one at a time.
 
         Parameters
@@ -128,8 +131,10 @@ class Pictures:
             Pixels of the whole picture, inward from a mask's outline, that are left out.
         background : bool
             Whether to tell pixels that show background, which then are not cut off.
+        cells : bool
+            Whether to collect sets of colours: 64 bytes a pixel.
         """
-        cameras, pictures, spreads, outsides = [], [], [], []
+        cameras, pictures, spreads, outsides, sets = [], [], [], [], []
         for number, view in enumerate(views):
             progress(number / len(views), f"Reading the colours of view {view.name}")
             picture, outside, camera = prepared(view, grid, border=border, background=background)
@@ -137,9 +142,12 @@ class Pictures:
             pictures.append(picture.reshape(-1, 4))
             spreads.append(_spread(picture).reshape(-1, 4))
             outsides.append(outside.ravel())
+            if cells:
+                sets.append(_cells(picture).reshape(-1, COLOR_BINS))
         offset = np.cumsum([0] + [len(picture) for picture in pictures[:-1]])
         return cls(tuple(cameras), np.array([_from_voxels(camera, grid) for camera in cameras], np.float32), offset.astype(np.intp),
-                   np.concatenate(pictures), np.concatenate(spreads), np.concatenate(outsides))
+                   np.concatenate(pictures), np.concatenate(spreads), np.concatenate(outsides),
+                   np.concatenate(sets) if cells else None)
 
     def subset(self, used: np.ndarray) -> Pictures:
         """Return the pictures of some views (v,) bool; rows are still those of all pictures."""
@@ -183,19 +191,6 @@ class Pictures:
         column = np.fmax(np.fmin(x, limit[:, 0]), 0).astype(np.int32)
         row = np.fmax(np.fmin(y, limit[:, 1]), 0).astype(np.int32)
         return row * self.sizes[:, :1] + column + self.offset[:, None]
-
-    @cached_property
-    def cells(self) -> np.ndarray:
-        """The colours within the window about each pixel, as `color_cells`: (p, 8) uint64."""
-        parts = []
-        for camera, start in zip(self.cameras, self.offset, strict=True):
-            width, height = camera.size
-            picture = self.rgba[start:start + width * height].reshape(height, width, 4)
-            own = np.where(picture[..., 3:] > 0, color_cells(picture[..., :3]), np.uint64(0))
-            for axis in (0, 1):  # the border is empty, so that what is rolled in from the other side is nothing
-                own = own | np.roll(own, 1, axis) | np.roll(own, -1, axis)
-            parts.append(own.reshape(-1, COLOR_BINS))
-        return np.concatenate(parts)
 
     def background(self, points: np.ndarray) -> np.ndarray:
         """Return (n,) bool: in the place of which of the (n, 3) points, in voxel coordinates, a view sees background."""
@@ -372,6 +367,14 @@ def _spread(picture: np.ndarray) -> np.ndarray:
     count = np.maximum(total[..., 3:], 1)
     square = cv2.boxFilter(picture[..., :3] ** 2, -1, **window) / count
     return np.concatenate((np.maximum(square - (total[..., :3] / count) ** 2, 0), total[..., 3:]), axis=-1)
+
+
+def _cells(picture: np.ndarray) -> np.ndarray:
+    """Return the colours within the window about each pixel of those that show the object: (h, w, 8) uint64."""
+    cells = np.where(picture[..., 3:] > 0, color_cells(picture[..., :3]), np.uint64(0))
+    for axis in (0, 1):  # the border is empty, so that what is rolled in from the other side is nothing
+        cells = cells | np.roll(cells, 1, axis) | np.roll(cells, -1, axis)
+    return cells
 
 
 def _from_voxels(camera: Camera, grid: VoxelGrid) -> np.ndarray:

@@ -28,7 +28,8 @@ VOXELS_AT_ONCE = 1 << 16
 
 
 def generalized_voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consistency: str = "adaptive",
-                               threshold: float = 0.0, noise: float = 0.01, min_views: int = 2, progress: Progress = silent) -> Outcome:
+                               consistency_threshold: float = 0.0, noise: float = 0.01, min_views: int = 2,
+                               progress: Progress = silent) -> Outcome:
     """Carve the photo hull with exact visibility.
 
     Parameters
@@ -38,7 +39,7 @@ def generalized_voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hul
     grid : VoxelGrid
     start : {'hull', 'box'}
         What is carved.
-    consistency, threshold, noise, min_views
+    consistency, consistency_threshold, noise, min_views
         See `consistency.OPTIONS`.
     progress : Progress
 
@@ -53,8 +54,8 @@ def generalized_voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hul
         Nothing is left.
     """
     carving, warnings = photo_hull.start(scan, grid, start, part_of(progress, 0, 0.2))
-    judge = Judge.of(consistency=consistency, threshold=threshold, noise=noise, min_views=min_views)
-    pictures = photo_hull.pictures_of(scan, grid, start, part_of(progress, 0.2, 0.3))
+    judge = Judge.of(consistency=consistency, threshold=consistency_threshold, noise=noise, min_views=min_views)
+    pictures = photo_hull.pictures_of(scan, grid, start, judge, part_of(progress, 0.2, 0.3))
     emptied = photo_hull.carve_background(carving, pictures)
     sight = Sight(pictures, carving)
     tested, removed = carve_by_sight(carving, sight, judge, part_of(progress, 0.4, 0.95))

@@ -24,7 +24,7 @@ from .surface import extract_surface
 from .visual_hull import visual_hull, working_bounds
 from .volume import FULL, SparseVolume, brick_counts
 
-HULL = {"rule": "conservative", "tolerance": 0, "outside": "unknown"}
+HULL = {"rule": "center", "tolerance": 0, "outside": "unknown"}
 
 OPTIONS = (
     Option("start", "hull", "What is carved", choices={
@@ -64,9 +64,9 @@ def _box(grid: VoxelGrid) -> SparseVolume:
                                           for x in range(0, grid.shape[0], 8)))
 
 
-def pictures_of(scan: Scan, grid: VoxelGrid, kind: str, progress: Progress = silent) -> Pictures:
-    """Return the pictures as methods that begin with ``kind`` need them."""
-    return Pictures.of(scan.views, grid, progress, background=kind == "box")
+def pictures_of(scan: Scan, grid: VoxelGrid, kind: str, judge: Judge, progress: Progress = silent) -> Pictures:
+    """Return the pictures as a method that begins with ``kind`` and its judge need them."""
+    return Pictures.of(scan.views, grid, progress, background=kind == "box", cells=judge.measure.needs == "cells")
 
 
 def carve_background(carving: Carving, pictures: Pictures) -> int:
@@ -104,8 +104,8 @@ def outcome(carving: Carving, colored: Colored, judge: Judge, *, counts: dict[st
     volume = carving.frozen()
     surface = extract_surface(volume)
     if not len(surface.voxels):
-        raise ScanstageError(f"no voxel is photo-consistent: raise the threshold (--set threshold=..., now {judge.threshold:g}), or check "
-                             "the poses and that the light keeps still with respect to the object")
+        raise ScanstageError(f"no voxel is photo-consistent: raise --set consistency_threshold=... (now {judge.threshold:g}), or check the "
+                             "poses and that the light keeps still with respect to the object")
     order = np.argsort(colored.keys)
     keys = carving.keys(surface.voxels)
     place = np.minimum(np.searchsorted(colored.keys, keys, sorter=order), len(order) - 1)

@@ -38,10 +38,14 @@ class Order:
         For reports.
     direction : (3,) array
         Unit vector, the way the plane moves: a voxel's layer is the whole part of its centre's place along it.
+    least_across : float
+        Cosine between a line of sight and the direction below which a camera is not asked about a voxel: what runs along
+        the layer may be hidden by others of the same layer, which have not taken their pixels yet.
     """
 
     name: str
     direction: np.ndarray
+    least_across: float = 0.0
 
     def layer(self, voxels: np.ndarray) -> np.ndarray:
         """Return the layers (n,) int of voxels (n, 3)."""
@@ -111,7 +115,7 @@ def sweep(carving: Carving, pictures: Pictures, judge: Judge, order: Order, prog
             front = np.concatenate(waiting.pop(layer))
             outside = passed.background(carving.voxels(front) + 0.5) if pictures.outside.any() else np.zeros(len(front), bool)
             inside = front[~outside]
-            refused, rgb, views = judged(inside, carving, passed, judge, rgba)
+            refused, rgb, views = judged(inside, carving, passed, judge, order, rgba)
             stayed.append((inside[~refused], rgb[~refused], views[~refused]))
             gone = np.concatenate((front[outside], inside[refused]))
             tested, removed = tested + len(front), removed + len(gone)
@@ -139,7 +143,7 @@ def _ends(grid: VoxelGrid, order: Order) -> tuple[np.ndarray, np.ndarray]:
     return np.where(forward, 0, end), np.where(forward, end, 0)
 
 
-def judged(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge,
+def judged(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge, order: Order,
            rgba: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return of each voxel (n,) whether it is refused, its mean colour (n, 3) and how many views see it (n,)."""
     refused, colors, count = np.zeros(len(keys), bool), np.zeros((len(keys), 3), np.float32), np.zeros(len(keys), np.uint16)
@@ -147,14 +151,14 @@ def judged(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge,
         return refused, colors, count
     step = max(1, SAMPLES_AT_ONCE // len(pictures.cameras))
     for part in (slice(start, start + step) for start in range(0, len(keys), step)):
-        samples = sampled(keys[part], carving, pictures, judge, rgba)
+        samples = sampled(keys[part], carving, pictures, judge, order, rgba)
         enough = samples.views >= judge.min_views
         refused[part] = judge.refuses(samples)
         colors[part][enough], count[part][enough] = samples.colors[enough], samples.views[enough]
     return refused, colors, count
 
 
-def sampled(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge, rgba: np.ndarray) -> Samples:
+def sampled(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge, order: Order, rgba: np.ndarray) -> Samples:
     """Return what the views see of voxels at the middle of their exposed faces, if these are turned to them."""
     exposure = carving.exposure(keys)
     points = carving.voxels(keys) + np.float32(0.5) * (1 + exposure)
@@ -162,6 +166,8 @@ def sampled(keys: np.ndarray, carving: Carving, pictures: Pictures, judge: Judge
     length = np.sqrt(np.einsum("nc,nc->n", exposure, exposure))
     distance = np.linalg.norm(pictures.centres - np.array(carving.grid.shape) / 2, axis=1)
     facing = towards >= LEAST_FACING * distance.astype(np.float32)[:, None] * length  # a thin sheet faces both ways
+    if order.least_across:
+        facing &= points @ order.direction - (pictures.centres @ order.direction)[:, None] >= order.least_across * distance[:, None]
     rows = np.where(facing, pictures.locate(points), pictures.offset[0])  # the first pixel of a border is empty
     return judge.sample(pictures, rows, rgba, points, exposure)
 

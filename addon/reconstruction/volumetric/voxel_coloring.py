@@ -28,8 +28,8 @@ _MOST_STEPS = 2000
 _LEAST_GAP = 1e-3  # voxels between the cameras and the scene
 
 
-def voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consistency: str = "adaptive", threshold: float = 0.0,
-                   noise: float = 0.01, min_views: int = 2, progress: Progress = silent) -> Outcome:
+def voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consistency: str = "adaptive",
+                   consistency_threshold: float = 0.0, noise: float = 0.01, min_views: int = 2, progress: Progress = silent) -> Outcome:
     """Colour the voxels that views agree on, and take out the others (Seitz & Dyer, 1999).
 
     Parameters
@@ -38,7 +38,7 @@ def voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consiste
     grid : VoxelGrid
     start : {'hull', 'box'}
         What is carved.
-    consistency, threshold, noise, min_views
+    consistency, consistency_threshold, noise, min_views
         See `consistency.OPTIONS`.
     progress : Progress
 
@@ -54,8 +54,8 @@ def voxel_coloring(scan: Scan, grid: VoxelGrid, *, start: str = "hull", consiste
     """
     carving, warnings = photo_hull.start(scan, grid, start, part_of(progress, 0, 0.2))
     order = ordinal_visibility(np.array([(view.camera.centre - grid.origin) / grid.voxel_size for view in scan.views]), carving)
-    judge = Judge.of(consistency=consistency, threshold=threshold, noise=noise, min_views=min_views)
-    pictures = photo_hull.pictures_of(scan, grid, start, part_of(progress, 0.2, 0.4))
+    judge = Judge.of(consistency=consistency, threshold=consistency_threshold, noise=noise, min_views=min_views)
+    pictures = photo_hull.pictures_of(scan, grid, start, judge, part_of(progress, 0.2, 0.4))
     swept = sweep(carving, pictures, judge, order, part_of(progress, 0.4, 1.0))
     return photo_hull.outcome(carving, photo_hull.Colored(swept.keys, swept.rgb, swept.views), judge,
                               counts={"tested": swept.tested, "removed": swept.removed}, warnings=warnings,
