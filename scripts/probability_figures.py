@@ -2,10 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Prints what probabilities and votes are worth, as tables.
 
-    python3 scripts/figures_probability.py noise         rendered pictures with noise: probabilities against every hard threshold
-    python3 scripts/figures_probability.py textureless   an object of one colour: how far probabilities leave the prior
-    python3 scripts/figures_probability.py votes         space sweep: points among clutter, found and made up
-    python3 scripts/figures_probability.py               all of them (minutes)
+    python3 scripts/probability_figures.py noise         rendered pictures with noise: probabilities against every hard threshold
+    python3 scripts/probability_figures.py textureless   an object of one colour: how far probabilities leave the prior
+    python3 scripts/probability_figures.py votes         space sweep: points among clutter, found and made up
+    python3 scripts/probability_figures.py               all of them (minutes)
 
 Exit status 1 if a figure is missed. It makes its own environment on first use.
 """
@@ -71,7 +71,7 @@ def noise(bar):
         for threshold in HARD:
             try:
                 hard = methods.reconstruct(scan, "generalized-voxel-coloring", voxels=VOXELS, bounds=bounds, progress=told(bar, name),
-                                           options={"consistency": "deviation", "threshold": threshold, "noise": NOISE})
+                                           options={"consistency": "deviation", "consistency_threshold": threshold, "noise": NOISE})
                 # Its hull is the conservative one, a layer of half-filled voxels larger: compared inside the unbiased one.
                 ious[threshold] = overlap(hard.volume.dense() & start, true)
             except ScanstageError:  # nothing is left
