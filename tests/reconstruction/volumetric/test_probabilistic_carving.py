@@ -18,7 +18,7 @@ from addon.reconstruction.volumetric.probabilistic_carving import LAYER, _Shell,
 from addon.reconstruction.volumetric.surface import extract_surface
 from addon.reconstruction.volumetric.visual_hull import visual_hull
 from addon.reconstruction.volumetric.volume import BRICK, FULL, SparseVolume
-from tests.rigs import Ball, marbled, painted_views, ring
+from tests.rigs import Ball, marbled, painted_views, pixel_rays, ring
 
 NOISE = 10 / 255
 GRID = VoxelGrid.from_bounds((-0.9, -0.9, -0.9), (0.9, 0.9, 0.9), 40)
@@ -55,8 +55,13 @@ def pictures_of_the_bowl(noise=NOISE, paint=marbled):
     rng = np.random.default_rng(7)
     views = painted_views(ring(12, elevation=50, distance=4.0) + ring(12, elevation=15, distance=4.0), [Bowl()], paint)
     noisy = [view.read_image() + noise * rng.standard_normal((*view.mask.shape, 3)) for view in views]
-    return Scan(tuple(replace(view, read_image=lambda image=np.clip(image, 0, 1).astype(np.float32): image)
+    return Scan(tuple(replace(view, mask=sampled_mask(view.camera), read_image=lambda image=np.clip(image, 0, 1).astype(np.float32): image)
                       for view, image in zip(views, noisy, strict=True)))
+
+
+def sampled_mask(camera):
+    """Return the silhouette at the pixels' centres, as the rule 'center' wants it: unbiased, where captures' masks cover too much."""
+    return np.isfinite(Bowl().distance_along(camera.centre, pixel_rays(camera)))
 
 
 @cache
