@@ -26,7 +26,7 @@ from figures import row, table, told
 ROOT = Path(__file__).resolve().parents[1]
 VOXELS = 64
 NOISE = 10 / 255
-HARD = (0.04, 0.06, 0.08, 0.1, 0.12, 0.2)
+HARD = (0.04, 0.05, 0.06, 0.07, 0.08, 0.1)
 PRIOR = 0.65
 RIG = {"arrangement": "dome", "views": 24, "elevation": 0.3, "resolution_x": 320, "resolution_y": 240}
 
@@ -55,7 +55,6 @@ def noise(bar):
     """Print IoU with the truth of probability > 0.5 and of hard carving, and how often 0.8 to 0.9 is right; return what is missed."""
     import numpy as np
 
-    from addon.errors import ScanstageError
     from addon.reconstruction import methods
     from addon.reconstruction.evaluation.voxelization import inside
 
@@ -67,18 +66,11 @@ def noise(bar):
         soft = methods.reconstruct(scan, "probabilistic-carving", voxels=VOXELS, bounds=bounds, options={"noise": NOISE},
                                    progress=told(bar, name))
         true = inside(truth, soft.volume.grid).dense()
-        ious, start = {}, hull(scan, bounds)
-        for threshold in HARD:
-            try:
-                hard = methods.reconstruct(scan, "generalized-voxel-coloring", voxels=VOXELS, bounds=bounds, progress=told(bar, name),
-                                           options={"consistency": "deviation", "consistency_threshold": threshold, "noise": NOISE})
-                # Its hull is the conservative one, a layer of half-filled voxels larger: compared inside the unbiased one.
-                ious[threshold] = overlap(hard.volume.dense() & start, true)
-            except ScanstageError:  # nothing is left
-                ious[threshold] = 0.0
+        start = hull(scan, bounds)
+        ious = {threshold: overlap(carved(start, scan, threshold, told(bar, name)), true) for threshold in HARD}
         bar.close()
         own = overlap(soft.volume.dense(), true)
-        row(name, "visual hull", "", f"{overlap(start, true):.4f}")
+        row(name, "visual hull", "", f"{overlap(start.dense(), true):.4f}")
         for threshold, iou in ious.items():
             row(name, "generalized voxel coloring, deviation", threshold, f"{iou:.4f}")
         row(name, "probabilistic carving", "probability > 0.5", f"{own:.4f}")
@@ -193,10 +185,24 @@ def noisy(scan):
 
 
 def hull(scan, bounds):
-    """Return the visual hull, unbiased: dense bool."""
+    """Return the visual hull, unbiased."""
     from addon.reconstruction import methods
 
-    return methods.reconstruct(scan, "visual-hull", voxels=VOXELS, bounds=bounds, options={"rule": "center"}).volume.dense()
+    return methods.reconstruct(scan, "visual-hull", voxels=VOXELS, bounds=bounds, options={"rule": "center"}).volume
+
+
+def carved(start, scan, threshold, progress):
+    """Return what generalized voxel coloring leaves of the same hull that probabilities begin with: dense bool."""
+    from addon.reconstruction.volumetric.carving import Carving
+    from addon.reconstruction.volumetric.consistency import Judge
+    from addon.reconstruction.volumetric.footprints import Pictures
+    from addon.reconstruction.volumetric.generalized_voxel_coloring import carve_by_sight
+    from addon.reconstruction.volumetric.sight import Sight
+
+    carving, pictures = Carving(start), Pictures.of(scan.views, start.grid)
+    judge = Judge.of(consistency="deviation", threshold=threshold, noise=NOISE, min_views=2)
+    carve_by_sight(carving, Sight(pictures, carving), judge, progress)
+    return carving.frozen().dense()
 
 
 def overlap(a, b):
