@@ -85,20 +85,29 @@ def noise(bar):
 
 def textureless(bar):
     """Print how far the probabilities of an object of one colour leave the prior; return whether that is too far."""
+    missed = 0
+    table("light", "voxels", "how many", "within 0.1 of the prior")
+    for sun in (False, True):
+        missed += unmoved(bar, sun) < 0.95 and not sun  # shading is texture
+    return missed
+
+
+def unmoved(bar, sun):
+    """Print both rows for one light; return the share of voxels away from silhouettes that stay near the prior."""
     import numpy as np
 
     from addon.reconstruction import methods
 
-    scan, _, bounds = captured("dented-sphere", "textureless", told(bar, "textureless"))
+    scan, _, bounds = captured("dented-sphere", "textureless", told(bar, "textureless"), sun=sun)
     found = methods.reconstruct(scan, "probabilistic-carving", voxels=VOXELS, bounds=bounds, progress=told(bar, "textureless"))
     bar.close()
     layer, grid = found.layers["probability"], found.volume.grid
     off = np.abs(layer.values["probability"] - PRIOR)
     edge = near_outlines(layer.voxels, grid, scan)
-    table("voxels", "how many", "within 0.1 of the prior")
-    row("at silhouettes", np.count_nonzero(edge), f"{np.mean(off[edge] <= 0.1):.3f}")
-    row("elsewhere", np.count_nonzero(~edge), f"{np.mean(off[~edge] <= 0.1):.3f}")
-    return int(np.mean(off[~edge] <= 0.1) < 0.95)
+    light = "with a sun" if sun else "the same from all sides"
+    row(light, "at silhouettes", np.count_nonzero(edge), f"{np.mean(off[edge] <= 0.1):.3f}")
+    row(light, "elsewhere", np.count_nonzero(~edge), f"{np.mean(off[~edge] <= 0.1):.3f}")
+    return np.mean(off[~edge] <= 0.1)
 
 
 def near_outlines(voxels, grid, scan, reach=3.0):
@@ -149,8 +158,11 @@ def votes(bar):
     return missed
 
 
-def captured(name, material, progress):
-    """Capture a built-in object on the preset for voxel coloring; return its scan, the truth and a box round that."""
+def captured(name, material, progress, *, sun=True):
+    """Capture a built-in object on the preset for voxel coloring; return its scan, the truth and a box round that.
+
+    Without the sun the light is the same from all sides, and an object of one colour has one in the pictures, too.
+    """
     import bpy
     import numpy as np
 
@@ -166,6 +178,8 @@ def captured(name, material, progress):
         with muted_stdout():
             new_file()
             build(bpy.context.scene, "voxel-coloring", name, {**RIG, "material": material})
+            if not sun:
+                next(o for o in bpy.context.scene.objects if o.type == "LIGHT").data.energy = 0.0
             drain(capture_frames(bpy.context.scene, folder), progress)
         scan, truth = load_scan(folder, {"conservative": False}, progress), read_ply(folder / TRUTH)
         images = [view.read_image() for view in scan.views]
