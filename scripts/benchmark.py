@@ -5,7 +5,8 @@
     python3 scripts/benchmark.py carve        visual hull: Open3D, a compiled brute force
     python3 scripts/benchmark.py mesh         voxels to a mesh: scikit-image's marching cubes
     python3 scripts/benchmark.py decode       Gray code: OpenCV's structured_light module
-    python3 scripts/benchmark.py              all
+    python3 scripts/benchmark.py coloring     voxel coloring at the size of the paper of 1997: a compiled projection and gather
+    python3 scripts/benchmark.py              all of them
 
 Medians of several runs after a warm-up. Only the ratios mean anything on another machine. It makes an environment of its
 own (without Blender) for the peers, and says which of them were not there.
@@ -25,11 +26,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 VIEWS, SIZE = 24, (640, 480)
+BALLS = (((0.0, 0.0, -0.1), 0.55), ((0.45, 0.2, 0.3), 0.3), ((-0.4, -0.3, 0.35), 0.35))
+PAPER_VOXELS, PAPER_VIEWS = 197, 21  # 7.6 million voxels: Seitz and Dyer, 1997
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "decode", "all"], default="all")
+    parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "decode", "coloring", "all"], default="all")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--alone", metavar="N", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--dense", action="store_true", help=argparse.SUPPRESS)
@@ -45,6 +48,8 @@ def main():
         compare_meshing(call.runs)
     if call.kernel in ("decode", "all"):
         compare_decoding(call.runs)
+    if call.kernel in ("coloring", "all"):
+        compare_coloring(call.runs)
     return 0
 
 
@@ -84,7 +89,6 @@ def scene():
     from addon.reconstruction.geometry import Camera, look_at
 
     cameras, masks = [], []
-    balls = [((0.0, 0.0, -0.1), 0.55), ((0.45, 0.2, 0.3), 0.3), ((-0.4, -0.3, 0.35), 0.35)]
     rows, columns = np.mgrid[:SIZE[1], :SIZE[0]]
     for angle in 2 * np.pi * np.arange(VIEWS) / VIEWS:
         R, t = look_at(4 * np.array([np.cos(angle) * 0.94, np.sin(angle) * 0.94, 0.342]), (0, 0, 0))
@@ -92,7 +96,7 @@ def scene():
         rays = camera.rays(np.stack((columns, rows), -1))
         rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
         mask = np.zeros(SIZE[::-1], bool)
-        for centre, radius in balls:
+        for centre, radius in BALLS:
             offset = np.array(centre) - camera.centre
             mask |= offset @ offset - (rays @ offset) ** 2 < radius ** 2
         cameras.append(camera)
@@ -199,8 +203,7 @@ def brute_force_seconds(cameras, masks, grid, runs):
     from addon.reconstruction.volumetric.octree import extent_of
     from addon.reconstruction.volumetric.silhouette_test import SilhouetteTest
 
-    compiler = shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
+    if compiler() is None:
         return None
     tests = [SilhouetteTest(camera, mask, grid, extent_of(grid), rule="center", unknown_outside=True)
              for camera, mask in zip(cameras, masks, strict=True)]
@@ -208,17 +211,84 @@ def brute_force_seconds(cameras, masks, grid, runs):
     pictures = np.array(masks, np.uint8)
     occupancy = np.zeros(grid.shape, np.uint8)
     pointer = np.ctypeslib.ndpointer
-    with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder) / "brute_force.so"
-        subprocess.check_call([compiler, "-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC", "-pthread",
-                               ROOT / "scripts" / "brute_force.cpp", "-o", library])
-        function = ctypes.CDLL(str(library)).carve
+    function = compiled().carve
     function.restype = ctypes.c_int64
     function.argtypes = [pointer(float), pointer(np.intc), pointer(np.uint8), *[ctypes.c_int] * 6, pointer(np.uint8)]
     seconds, kept = median_seconds(lambda: function(matrices, corners, pictures, len(cameras), *SIZE, *grid.shape, occupancy), runs)
     if not np.array_equal(occupancy.astype(bool), carve_ours(cameras, masks, grid, "center", dense=True)):
         raise SystemExit("benchmark: the compiled brute force and the octree differ")
     return seconds
+
+
+def compiler():
+    return shutil.which("g++") or shutil.which("clang++")
+
+
+def compiled():
+    """Return the library of scripts/brute_force.cpp, compiled for this machine."""
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "brute_force.so"
+        subprocess.check_call([compiler(), "-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC", "-pthread",
+                               ROOT / "scripts" / "brute_force.cpp", "-o", library])
+        return ctypes.CDLL(str(library))
+
+
+def compare_coloring(runs):
+    """Print what voxel coloring tests and colours at the size of Seitz and Dyer's dinosaur, and how long it takes."""
+    import numpy as np
+
+    from addon.reconstruction.scan import Scan
+    from addon.reconstruction.volumetric.voxel_coloring import voxel_coloring
+
+    views = painted_scene()
+    grid = box(PAPER_VOXELS)
+    print(f"Voxel coloring, {grid.count:,} voxels, {len(views)} views of {SIZE[0]}x{SIZE[1]}, from the box; medians of {runs}\n")
+    seconds, found = median_seconds(lambda: voxel_coloring(Scan(views), grid, start="box", consistency="chi-square", noise=0.03), runs)
+    counts = found.report["counts"]
+    pairs = counts["tested"] * len(views)
+    print(f"tested {counts['tested']:,}, coloured {counts['coloured']:,} in {seconds:.2f} s: {1e9 * seconds / pairs:.1f} ns a voxel "
+          "and view")
+    if compiler() is None:
+        print("compiled projection and gather: not run, there is no compiler")
+        return
+    pointer, function = np.ctypeslib.ndpointer, compiled().project_and_gather
+    function.restype = ctypes.c_double
+    function.argtypes = [pointer(float), pointer(np.float32), *[ctypes.c_int] * 6]
+    to_world = np.diag([grid.voxel_size] * 3 + [1.0])
+    to_world[:3, 3] = grid.origin
+    matrices = np.array([view.camera.P @ to_world for view in views])
+    pictures = np.array([np.dstack((view.read_image(), view.mask)) for view in views], np.float32)
+    reference, _ = median_seconds(lambda: function(matrices, pictures, len(views), *SIZE, *grid.shape), runs)
+    unit = 1e9 * reference / (grid.count * len(views))
+    print(f"compiled projection and gather, one thread: {unit:.1f} ns a voxel and view; voxel coloring takes "
+          f"{1e9 * seconds / pairs / unit:.1f} x (at most 5)")
+
+
+def painted_scene():
+    """Return 21 views from above of the balls of `scene`, in colours that change with the place."""
+    import numpy as np
+
+    from addon.reconstruction.geometry import Camera, look_at
+    from addon.reconstruction.scan import View
+
+    rows, columns = np.mgrid[:SIZE[1], :SIZE[0]]
+    views = []
+    for number, angle in enumerate(2 * np.pi * np.arange(PAPER_VIEWS) / PAPER_VIEWS):
+        R, t = look_at(4 * np.array([np.cos(angle) * 0.8, np.sin(angle) * 0.8, 0.6]), (0, 0, 0))
+        camera = Camera([[900, 0, (SIZE[0] - 1) / 2], [0, 900, (SIZE[1] - 1) / 2], [0, 0, 1]], R, t, SIZE)
+        rays = camera.rays(np.stack((columns, rows), -1))
+        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+        nearest = np.full(SIZE[::-1], np.inf)
+        for centre, radius in BALLS:
+            offset = np.array(centre) - camera.centre
+            along = rays @ offset
+            half = radius ** 2 - (offset @ offset - along ** 2)
+            nearest = np.where(half > 0, np.minimum(nearest, along - np.sqrt(np.maximum(half, 0))), nearest)
+        mask = np.isfinite(nearest)
+        points = camera.centre + rays * np.where(mask, nearest, 0)[..., None]
+        image = (0.5 + 0.2 * np.sin(points * (9, 11, 13)) + 0.2 * np.sin(points[..., ::-1] * (21, 17, 19))) * mask[..., None]
+        views.append(View(f"{number:04d}", camera, mask, lambda image=image.astype(np.float32): image))
+    return tuple(views)
 
 
 def compare_meshing(runs):

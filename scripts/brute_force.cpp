@@ -56,3 +56,24 @@ extern "C" std::int64_t carve(const double* matrices, const int* corners, const 
   for (auto& thread : threads) thread.join();
   return kept;
 }
+
+// What voxel coloring does at least: every voxel's centre projected into every view, and the pixel there (r, g, b, alpha) read.
+extern "C" double project_and_gather(const double* matrices, const float* pictures, int views, int width, int height, int nx, int ny, int nz) {
+  double total = 0;
+  for (int n = 0; n < views; ++n) {
+    const double* m = matrices + 12 * n;
+    const float* picture = pictures + static_cast<std::size_t>(n) * width * height * 4;
+    for (int i = 0; i < nx; ++i)
+      for (int j = 0; j < ny; ++j)
+        for (int k = 0; k < nz; ++k) {
+          const double x = i + 0.5, y = j + 0.5, z = k + 0.5;
+          const double inverse = 1.0 / (m[8] * x + m[9] * y + m[10] * z + m[11]);
+          const int u = static_cast<int>((m[0] * x + m[1] * y + m[2] * z + m[3]) * inverse + 0.5);
+          const int v = static_cast<int>((m[4] * x + m[5] * y + m[6] * z + m[7]) * inverse + 0.5);
+          if (u < 0 || v < 0 || u >= width || v >= height) continue;
+          const float* pixel = picture + (static_cast<std::size_t>(v) * width + u) * 4;
+          total += pixel[0] + pixel[1] + pixel[2] + pixel[3];
+        }
+  }
+  return total;
+}

@@ -8,6 +8,17 @@
     python3 scripts/figures.py calibration     camera, projector and turntable, rendered (minutes), and photographs of a board
     python3 scripts/figures.py                 the first two
 
+    python3 scripts/figures.py held-back       methods of colour: what a camera that took no part sees (minutes)
+    python3 scripts/figures.py losses          what they lose of the object
+    python3 scripts/figures.py bowl            how much of a bowl's inside they recover (minutes)
+    python3 scripts/figures.py consistency     how well each photo-consistency measure tells a surface from thin air
+    python3 scripts/figures.py color-photographs    the photographs by space carving and generalized voxel coloring
+    python3 scripts/figures.py colour          all five
+    python3 scripts/figures.py noise           rendered pictures with noise: probabilities against every hard threshold (minutes)
+    python3 scripts/figures.py textureless     an object of one colour: how far probabilities leave the prior
+    python3 scripts/figures.py votes           space sweep: points among clutter, found and made up
+    python3 scripts/figures.py probability     all three
+
 Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
 SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
 """
@@ -18,9 +29,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+import color_figures
+import probability_figures
 import session
 from session import told
-from tables import head, line
+from tables import print_head, print_line
 from turntable_captures import rendered, thinned
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,6 +49,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs],
               "structured-light": [active], "calibration": [calibration]}
+    tables |= {name: [print_table] for name, print_table in {**color_figures.TABLES, **probability_figures.TABLES}.items()}
+    tables |= {"colour": list(color_figures.TABLES.values()), "probability": list(probability_figures.TABLES.values())}
     parser.add_argument("table", nargs="?", choices=tables, default="both")
     call = parser.parse_args()
     return session.run(__file__, lambda bar: int(sum(print_table(bar) for print_table in tables[call.table]) > 0))
@@ -48,7 +63,7 @@ def objects(bar):
     from addon.stage.objects import BUILTINS
 
     keys = "truth_voxels_removed", "excess", "loss", "iou"
-    table("object", "views", *keys, "mean silhouette IoU")
+    print_head("object", "views", *keys, "mean silhouette IoU")
     missed = 0
     for name in BUILTINS:
         with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
@@ -58,7 +73,7 @@ def objects(bar):
                 measures, seen = volume_measures(found.volume, truth), found.report["silhouette_iou"]["mean"]
                 missed += measures["truth_voxels_removed"] > 0
                 bar.close()
-                row(name, views, *(f"{measures[key]:.4g}" for key in keys), f"{seen:.4f}")
+                print_line(name, views, *(f"{measures[key]:.4g}" for key in keys), f"{seen:.4f}")
     return missed
 
 
@@ -68,7 +83,7 @@ def photographs(bar):
     from addon.workflow import reconstruct
 
     data = Path(os.environ.get("SCANSTAGE_DATA", ROOT.parent / "shared" / "data"))
-    table("photographs", "mean silhouette IoU", "at least")
+    print_head("photographs", "mean silhouette IoU", "at least")
     missed = 0
     for name, source, layout, least in SETS:
         if not (data / source).is_dir():
@@ -81,7 +96,7 @@ def photographs(bar):
                                  progress=told(bar, name))
         missed += (seen := report["silhouette_iou"]["mean"]) < least
         bar.close()
-        row(name, f"{seen:.4f}", least)
+        print_line(name, f"{seen:.4f}", least)
     return missed
 
 
@@ -89,28 +104,20 @@ def active(bar):
     """Print the table of structured light and the laser; return how many figures are missed."""
     from structured_light_figures import structured_light
 
-    return structured_light(bar, table, row)
+    return structured_light(bar, print_head, print_line)
 
 
 def calibration(bar):
     """Print the table of calibrations; return how many figures are missed."""
     from calibration_figures import rows
 
-    table("calibration", "figure", "unit", "target")
+    print_head("calibration", "figure", "unit", "target")
     missed = 0
     for what, figure, unit, target, met in rows(lambda name: told(bar, name)):
         missed += not met
         bar.close()
-        row(what, f"{figure:.3g}", unit, target)
+        print_line(what, f"{figure:.3g}", unit, target)
     return missed
-
-
-def table(*titles):
-    print("", *head(*titles), sep="\n", flush=True)
-
-
-def row(*cells):
-    print(line(*cells), flush=True)
 
 
 if __name__ == "__main__":

@@ -48,6 +48,16 @@ def line(*cells):
     return "| " + " | ".join(map(_text, cells)) + " |"
 
 
+def print_head(*titles):
+    """Print the two lines that begin a table, after an empty one."""
+    print("", *head(*titles), sep="\n", flush=True)
+
+
+def print_line(*cells):
+    """Print one row at once: the next may take minutes."""
+    print(line(*cells), flush=True)
+
+
 def _text(cell):
     if cell is None:
         return ""

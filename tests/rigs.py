@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from addon.captures.pictures import write_picture
@@ -45,6 +46,14 @@ class Ball:
         root = np.sqrt(np.maximum(inner, 0))
         return _ahead((b - root) / a, (b + root) / a, inner > 0)
 
+    def distance_along(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return how many times ``directions`` lead from ``origin``, outside, to the surface; infinite where they miss it."""
+        offset = origin - np.array(self.centre)
+        a, b = (directions ** 2).sum(-1), directions @ offset
+        root = b * b - a * (offset @ offset - self.radius ** 2)
+        distance = (-b - np.sqrt(np.maximum(root, 0))) / a
+        return np.where((root > 0) & (distance > 0), distance, np.inf)
+
 
 @dataclass(frozen=True)
 class Box:
@@ -60,11 +69,15 @@ class Box:
 
     def hit_by(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return whether rays from ``origin`` meet the box: the slabs of its three axes overlap along the ray."""
+        return np.isfinite(self.distance_along(origin, directions))
+
+    def distance_along(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return how many times ``directions`` lead from ``origin``, outside, to the surface; infinite where they miss it."""
         start, step = (origin - np.array(self.centre)) @ self.rotation, directions @ self.rotation
         with np.errstate(divide="ignore", invalid="ignore"):
             first, second = (-np.array(self.half) - start) / step, (np.array(self.half) - start) / step
         enter, leave = np.minimum(first, second).max(-1), np.maximum(first, second).min(-1)
-        return (enter <= leave) & (leave > 0)
+        return np.where((enter <= leave) & (leave > 0), enter, np.inf)
 
     def along(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return where rays enter and leave the box, as `Ball.along`."""
@@ -112,6 +125,30 @@ def black_picture() -> np.ndarray:
 def views_of(cameras, shapes) -> list[View]:
     """Return a view for each camera, with the shapes' silhouette."""
     return [View(f"{i:04d}", camera, silhouette(camera, shapes), black_picture) for i, camera in enumerate(cameras)]
+
+
+def painted_views(cameras, shapes, paint) -> list[View]:
+    """Return a view for each camera of matte shapes; ``paint`` gives the linear colours (n, 3) of surface points (n, 3).
+
+    Pictures are black beyond the shapes. A pixel shows what the ray through its centre meets; as those of captures, masks
+    cover every pixel that a shape may touch.
+    """
+    views = []
+    for number, camera in enumerate(cameras):
+        rays = pixel_rays(camera)
+        distance = np.min([shape.distance_along(camera.centre, rays) for shape in shapes], axis=0)
+        mask = np.isfinite(distance)
+        picture = np.zeros((*mask.shape, 3), np.float32)
+        picture[mask] = paint(camera.centre + rays[mask] * distance[mask][:, None])
+        views.append(View(f"{number:04d}", camera, cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0, lambda picture=picture: picture))
+    return views
+
+
+def marbled(points: np.ndarray) -> np.ndarray:
+    """Return linear colours (n, 3) that change over a fifth to a half of a unit, without sharp edges."""
+    coarse = np.sin(points @ np.array([[9, 2, -5], [-4, 11, 3], [5, -3, 13]]) + (0.3, 1.1, 2.0))
+    fine = np.sin(points @ np.array([[-18, 15, 8], [12, 20, -16], [15, 14, 21]]) + (1.7, 0.2, 0.9))
+    return 0.5 + 0.2 * coarse + 0.2 * fine
 
 
 def sphere_mesh(ball: Ball, rings: int = 32) -> TriangleMesh:

@@ -26,7 +26,17 @@ from .mesh import TriangleMesh
 from .outcome import Outcome, VoxelLayer
 from .points import PointCloud
 from .scan import Scan
-from .volumetric import polyhedral_hull, shadow_carving, visual_hull
+from .volumetric import (
+    generalized_voxel_coloring,
+    photo_hull,
+    polyhedral_hull,
+    probabilistic_carving,
+    shadow_carving,
+    space_carving,
+    space_sweep,
+    visual_hull,
+    voxel_coloring,
+)
 from .volumetric.coloring import SurfaceColors, color_surface
 from .volumetric.item_buffer import reprojection_iou
 from .volumetric.polyhedral_hull import Solids
@@ -82,6 +92,18 @@ METHODS = {method.name: method for method in (
     Method("polyhedral-hull", "Polyhedral Hull", "The visual hull as a polyhedron, exact for the silhouettes' outlines",
            ("silhouettes",), polyhedral_hull.OPTIONS, polyhedral_hull.polyhedral_hull, polyhedral_hull.working_bounds,
            cuts_solids=True),
+    Method("voxel-coloring", "Voxel Coloring", "What the views agree on, in one pass from near to far; all cameras on one side",
+           ("silhouettes", "colour"), voxel_coloring.OPTIONS, voxel_coloring.voxel_coloring, photo_hull.photo_bounds),
+    Method("space-carving", "Space Carving", "What the views agree on, by planes that sweep in six directions until nothing changes",
+           ("silhouettes", "colour"), space_carving.OPTIONS, space_carving.space_carving, photo_hull.photo_bounds),
+    Method("generalized-voxel-coloring", "Generalized Voxel Coloring", "What the views agree on, with exact visibility for any cameras",
+           ("silhouettes", "colour"), generalized_voxel_coloring.OPTIONS, generalized_voxel_coloring.generalized_voxel_coloring,
+           photo_hull.photo_bounds),
+    Method("probabilistic-carving", "Probabilistic Carving", "How probable each voxel is, given what all pictures show and what hides what",
+           ("silhouettes", "colour"), probabilistic_carving.OPTIONS, probabilistic_carving.probabilistic_carving,
+           probabilistic_carving.probabilistic_bounds),
+    Method("space-sweep", "Space Sweep", "Points that edges of many pictures vote for, as a plane sweeps through the working volume",
+           ("silhouettes", "colour"), space_sweep.OPTIONS, space_sweep.space_sweep, photo_hull.photo_bounds),
     Method("gray-code", "Gray Code", "Points where the camera sees a projector's Gray code, to a column",
            ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_gray_code),
     Method("phase-shift", "Phase Shift", "Points where the camera sees a projector's sinusoids, to a small part of a column",

@@ -28,6 +28,11 @@ def voxel_material() -> bpy.types.Material:
     return _named("Scanstage Voxels", _build_voxels)
 
 
+def probability_material() -> bpy.types.Material:
+    """Return the material that shows the attribute ``probability``, from 0 to 1, shared by all results that have it."""
+    return _named("Scanstage Probability", _build_probability)
+
+
 def clay_material() -> bpy.types.Material:
     """Return the plain light material of meshes that have no colours."""
     return _named("Scanstage Clay", _build_clay)
@@ -105,6 +110,13 @@ def _build_voxels(tree: bpy.types.NodeTree) -> None:
     color.layer_name = "Color"
     color.location.x = -200
     tree.links.new(color.outputs["Color"], _surface(tree).inputs["Base Color"])
+
+
+def _build_probability(tree: bpy.types.NodeTree) -> None:
+    ramp = tree.nodes.new("ShaderNodeValToRGB")
+    _fill_ramp(ramp.color_ramp, VIRIDIS)
+    tree.links.new(_attribute(tree, "probability").outputs["Fac"], ramp.inputs[0])
+    tree.links.new(ramp.outputs["Color"], _surface(tree).inputs["Base Color"])
 
 
 def _build_clay(tree: bpy.types.NodeTree) -> None:

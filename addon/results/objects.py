@@ -69,20 +69,7 @@ def add_voxel_mesh(name: str, surface: Surface, rgb: np.ndarray | None, *, colle
     ValueError
         ``rgb`` or an attribute has not one row per surface voxel, or an attribute takes a name that is in use.
     """
-    count = len(surface.voxels)
-    if rgb is not None and np.shape(rgb) != (count, 3):
-        raise ValueError(f"rgb must have the shape ({count}, 3), not {np.shape(rgb)}")
-    mesh = mesh_from_arrays(name, surface.vertices, surface.quads)
-    try:
-        if rgb is not None:
-            set_face_colors(mesh, np.asarray(rgb)[surface.face_voxel])
-        for attribute, values in (attributes or {}).items():
-            if np.shape(values) != (count,):
-                raise ValueError(f"attribute {attribute} must have the shape ({count},), not {np.shape(values)}")
-            set_attribute(mesh, attribute, np.asarray(values)[surface.face_voxel], 'FACE')
-    except ValueError:
-        bpy.data.meshes.remove(mesh)
-        raise
+    mesh = voxel_mesh(name, surface, rgb, attributes or {})
     if replace:
         remove_result(name)
     mesh.materials.append(clay_material() if rgb is None else voxel_material())
@@ -94,6 +81,38 @@ def add_voxel_mesh(name: str, surface: Surface, rgb: np.ndarray | None, *, colle
         modifier = added.modifiers.new("Smooth Voxels", 'SMOOTH')
         modifier.factor, modifier.iterations = SMOOTH_FACTOR, SMOOTH_STEPS
     return added
+
+
+def voxel_mesh(name: str, surface: Surface, rgb: np.ndarray | None, attributes: Mapping[str, np.ndarray]) -> bpy.types.Mesh:
+    """Return a new mesh without material: see `add_voxel_mesh`."""
+    count = len(surface.voxels)
+    if rgb is not None and np.shape(rgb) != (count, 3):
+        raise ValueError(f"rgb must have the shape ({count}, 3), not {np.shape(rgb)}")
+    mesh = mesh_from_arrays(name, surface.vertices, surface.quads)
+    try:
+        if rgb is not None:
+            set_face_colors(mesh, np.asarray(rgb)[surface.face_voxel])
+        for attribute, values in attributes.items():
+            if np.shape(values) != (count,):
+                raise ValueError(f"attribute {attribute} must have the shape ({count},), not {np.shape(values)}")
+            set_attribute(mesh, attribute, np.asarray(values)[surface.face_voxel], 'FACE')
+    except ValueError:
+        bpy.data.meshes.remove(mesh)
+        raise
+    return mesh
+
+
+def replace_mesh(shown: bpy.types.Object, mesh: bpy.types.Mesh, material: bpy.types.Material) -> None:
+    """Give an object another mesh of one material; what nobody uses any more goes."""
+    before, name = shown.data, shown.data.name
+    mesh.materials.append(material)
+    shown.data = mesh
+    materials = list(before.materials)
+    if before.users == 0:
+        bpy.data.meshes.remove(before)
+    mesh.name = name
+    for earlier in materials:
+        remove_if_unused(earlier)
 
 
 def add_polygon_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, *, collection: bpy.types.Collection,

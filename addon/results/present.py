@@ -18,12 +18,14 @@ from ..stage.ownership import find_stage
 from ..stage.readback import frame_kept, staged_objects, truth_mesh, turntable_of
 from .comparison import add_comparison
 from .folder import Result
-from .materials import OWNER
-from .objects import add_polygon_mesh, add_voxel_mesh, remove_result
+from .materials import OWNER, probability_material, voxel_material
+from .objects import add_polygon_mesh, add_voxel_mesh, remove_result, replace_mesh, voxel_mesh
 from .point_objects import add_points
+from .probability import cut, has_probabilities, threshold_of
 
 COLLECTION_NAME = "Scanstage Results"
 RESULT_NAME, POINTS_NAME = "Result", "Result Points"
+FOLDER = "result_folder"  # the custom property that says where a result with probabilities is
 _GAP = 0.6  # between the object and the result beside it, in widths of the result
 _SAME = 1e-5  # of the object's size: what single precision may move
 _SHARE_IN_RANGE = 98.0  # percent of the surface whose distance the colour ramp tells apart
@@ -72,9 +74,37 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
         return add_polygon_mesh(RESULT_NAME, result.mesh.vertices, result.mesh.triangles, collection=home, frame=beside,
                                 method=_method(result), replace=False)
     attributes = {} if result.colors is None else {"views": result.colors.views.astype(np.int32)}
-    return add_voxel_mesh(RESULT_NAME, result.surface, result.colors and result.colors.rgb, collection=home,
-                          grid=result.volume.grid, frame=beside, method=_method(result), attributes=attributes,
-                          smooth=smooth, replace=False)
+    shown = add_voxel_mesh(RESULT_NAME, result.surface, result.colors and result.colors.rgb, collection=home,
+                           grid=result.volume.grid, frame=beside, method=_method(result), attributes=attributes,
+                           smooth=smooth, replace=False)
+    if has_probabilities(result):
+        shown[FOLDER] = str(result.folder)
+        show_above(shown, result, threshold_of(result))
+    return shown
+
+
+def show_above(shown: bpy.types.Object, result: Result, threshold: float, *, ramp: bool = True) -> None:
+    """Let a result with probabilities show its voxels above another threshold; the object stays, its mesh is a new one.
+
+    Parameters
+    ----------
+    shown : bpy.types.Object
+        From `show_result`.
+    result : Result
+    threshold : float
+    ramp : bool
+        Colour the voxels by their probability, and not as the pictures show them.
+    """
+    part = cut(result, threshold)
+    mesh = voxel_mesh(shown.data.name, part.surface, part.rgb, {"probability": part.probability})
+    if shown.modifiers:
+        mesh.shade_smooth()
+    replace_mesh(shown, mesh, probability_material() if ramp else voxel_material())
+
+
+def shown_probabilities(scene: bpy.types.Scene) -> bpy.types.Object | None:
+    """Return the object that shows a result with probabilities, if there is one."""
+    return next((member for member in scene.objects if FOLDER in member), None)
 
 
 def face_errors(result: Result, truth: TriangleMesh) -> np.ndarray:

@@ -24,6 +24,9 @@ _PLATTER_COLOR = (0.18, 0.19, 0.21)
 _OUTLINE = "outline"
 _OUTLINE_LENGTH = 0.25
 _DRAWN = "scanstage_drawn"  # a property of an outline's mesh: what it shows
+AMBIENT = 0.6  # of the light on a white surface that faces the sun
+_NO_OCCLUSION = 1e-6  # metres: how far the ambient light looks for what hides it
+_SUN_ROTATION = (math.radians(40), 0.0, math.radians(-30))  # high, from the front right
 _OVERLAP = 1.1  # a backdrop reaches this much beyond the picture's edges
 
 
@@ -79,6 +82,29 @@ def add_light(stage: bpy.types.Collection, camera: bpy.types.Object, number: int
     light = ownership.add(stage, data.name, data, "light", device=f"light-{number}")
     light.parent, light.location = camera, offset
     return light
+
+
+def add_even_light(stage: bpy.types.Collection, world: bpy.types.World) -> bpy.types.Object:
+    """Light the object evenly from all round, a little more from one side, and with no shadow: the same from everywhere.
+
+    A matte surface of albedo a and normal n has the radiance a (`AMBIENT` + (1 - `AMBIENT`) max(0, n . l)) in every
+    view, l being the direction to the sun. Both parts are free of noise at one sample: the sun is a point of light, and
+    the ambient light is the closed form that Cycles adds with its fast global illumination, here without occlusion. A
+    bright world would be noise, and of several lamps one sample takes one at random.
+
+    Parameters
+    ----------
+    stage : bpy.types.Collection
+    world : bpy.types.World
+        It is given the ambient part; the scene must have `scene_settings.AMBIENT_LIGHT`.
+    """
+    world.light_settings.distance, world.light_settings.ao_factor = _NO_OCCLUSION, AMBIENT
+    data = bpy.data.lights.new("Scanstage Sun", "SUN")
+    data.angle, data.use_shadow = 0.0, False
+    data.energy = math.pi * (1 - AMBIENT)
+    sun = ownership.add(stage, data.name, data, "light", device="sun")
+    sun.rotation_euler = _SUN_ROTATION
+    return sun
 
 
 def add_platter(stage: bpy.types.Collection, turntable: bpy.types.Object, radius: float,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Matte materials: the built-in objects' textures, and the stage's own surfaces.
+"""Materials, matte but for one: the built-in objects' textures, and the stage's own surfaces.
 
 The textures are node trees in object coordinates, so that they have detail at every distance and their files stay
 small. Their albedo lies between 0.08 and 0.8 in every channel: no pixel in the light is black or saturated.
@@ -16,6 +16,9 @@ from .. import compat
 from .ownership import mark
 
 Color = tuple[float, float, float]
+
+# A thick glaze: the sun's highlight is about as bright as white paper, and wide enough to cover many voxels.
+_GLAZE = {"Roughness": 0.3, "Specular IOR Level": 1.0}
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,22 @@ class Texture:
     bands: float = 0.0
 
 
-def textured(name: str, texture: Texture) -> bpy.types.Material:
-    """Return a new matte material with a procedural texture in object coordinates."""
+def textured(name: str, texture: Texture, *, within: bpy.types.Object | None = None, shiny: bool = False) -> bpy.types.Material:
+    """Return a new material with a procedural texture.
+
+    Parameters
+    ----------
+    name : str
+    texture : Texture
+    within : bpy.types.Object, optional
+        In whose coordinates the texture lies; otherwise in those of each object that has the material.
+    shiny : bool
+        Glossy like glazed ware, instead of matte: highlights that move with the eye.
+    """
     material, tree = _new_material(name)
-    place = tree.nodes.new("ShaderNodeTexCoord").outputs["Object"]
+    coordinates = tree.nodes.new("ShaderNodeTexCoord")
+    coordinates.object = within
+    place = coordinates.outputs["Object"]
     hue = _noise(tree, place, texture.patches, detail=2.0)
     if texture.bands:
         wave = tree.nodes.new("ShaderNodeTexWave")
@@ -59,7 +74,10 @@ def textured(name: str, texture: Texture) -> bpy.types.Material:
     shade = _remapped(tree, cells.outputs["Distance"], 0.0, 0.8, 1.0, 0.72)
     fine = _remapped(tree, _noise(tree, place, texture.grain * 2.5, detail=3.0), 0.3, 0.7, 0.82, 1.0)
     color = _scaled(tree, _scaled(tree, ramp.outputs["Color"], shade), fine)
-    _finish_diffuse(tree, color)
+    if shiny:
+        _finish_shiny(tree, color)
+    else:
+        _finish_diffuse(tree, color)
     material.diffuse_color = (*texture.palette[0], 1.0)  # what the viewport's solid mode shows
     return material
 
@@ -106,6 +124,14 @@ def _new_material(name: str) -> tuple[bpy.types.Material, bpy.types.NodeTree]:
 def _finish_diffuse(tree: bpy.types.NodeTree, color: bpy.types.NodeSocket) -> None:
     shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
     tree.links.new(color, shader.inputs["Color"])
+    _finish(tree, shader)
+
+
+def _finish_shiny(tree: bpy.types.NodeTree, color: bpy.types.NodeSocket) -> None:
+    shader = tree.nodes.new("ShaderNodeBsdfPrincipled")
+    for name, value in _GLAZE.items():
+        shader.inputs[name].default_value = value
+    tree.links.new(color, shader.inputs["Base Color"])
     _finish(tree, shader)
 
 

@@ -9,7 +9,7 @@ constraint: the turntable is put under it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
@@ -24,6 +24,7 @@ from .evaluated import render_mesh
 from .materials import Texture, textured
 
 BUILTIN_SIZE = 0.2  # metres, the largest dimension of every built-in object
+_PLAINEST = "dented-sphere"  # whose texture other objects are given where they need one
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,12 @@ def add_object(scene: bpy.types.Scene, stage: bpy.types.Collection, turntable: b
     base = np.append((lower[:2] + upper[:2]) / 2, lower[2])
     carrier.scale, carrier.location = (scale,) * 3, -base * scale
     return (vertices - base) * scale
+
+
+def texture_for(subject: Subject, size: float) -> Texture:
+    """Return a texture for an object whose largest dimension is ``size`` metres: a built-in object's own, or one that suits any."""
+    texture = BUILTINS[subject.builtin or _PLAINEST].texture
+    return replace(texture, patches=texture.patches * BUILTIN_SIZE / size, grain=texture.grain * BUILTIN_SIZE / size)
 
 
 def assets_folder() -> Path:

@@ -3,8 +3,8 @@
 """What belongs to the stage and what to the user, and how the stage is taken away without a trace.
 
 Every data-block that staging makes carries a mark; only marked ones are ever deleted. What staging changes in the
-user's own scene (settings, world, camera, marker cameras, what is rendered) is remembered in the stage's collection
-and put back. Roles, not names, tell the stage's objects apart, so the user may rename them.
+user's own scene (settings, world, camera, material overrides, marker cameras, what is rendered) is remembered in the
+stage's collection and put back. Roles, not names, tell the stage's objects apart, so the user may rename them.
 """
 
 import json
@@ -23,6 +23,7 @@ _OPTIONS = "scanstage_options"
 _SETTINGS = "scanstage_settings_before"
 _WORLD = "scanstage_world_before"
 _CAMERA = "scanstage_camera_before"
+_OVERRIDES = "scanstage_material_overrides_before"
 _MARKERS = "scanstage_marker_cameras_before"
 _ACTION = "scanstage_action_before"
 _HIDDEN = "scanstage_hidden"
@@ -65,6 +66,7 @@ def create_stage(scene: bpy.types.Scene, preset: str, options: dict[str, object]
     stage[_SETTINGS] = json.dumps(scene_settings.snapshot(scene, paths))
     stage[_WORLD], stage[_CAMERA] = scene.world, scene.camera
     stage[_ACTION] = scene.animation_data.action if scene.animation_data else None
+    stage[_OVERRIDES] = {layer.name: layer.material_override for layer in scene.view_layers if layer.material_override}
     # A marker's camera overrides the scene's in every render.
     bound = [marker for marker in scene.timeline_markers if marker.camera is not None]
     stage[_MARKERS] = {f"{marker.frame} {marker.name}": marker.camera for marker in bound}
@@ -215,6 +217,9 @@ def _restore_scene(scene: bpy.types.Scene, stage: bpy.types.Collection) -> None:
         scene.camera = stage.get(_CAMERA)
     if scene.world is None or is_marked(scene.world):
         scene.world = stage.get(_WORLD)
+    for layer in scene.view_layers:
+        if layer.material_override is not None and is_marked(layer.material_override):
+            layer.material_override = stage[_OVERRIDES].get(layer.name)
     animation = scene.animation_data
     if animation and (animation.action is None or is_marked(animation.action)):
         animation.action = stage.get(_ACTION)

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import bpy
 
 from ..options import Option, Value
-from . import calibration, gray_code, laser_scanner, phase_shift, shadow_array, stereo_pair, turntable
+from . import calibration, gray_code, laser_scanner, phase_shift, shadow_array, stereo_pair, turntable, voxel_coloring
 from .objects import Subject
 
 Build = Callable[[bpy.types.Scene, bpy.types.Collection, Subject, Mapping[str, Value]], None]
@@ -57,4 +57,6 @@ PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset
            phase_shift.OPTIONS, phase_shift.build),
     Preset("calibration", "Calibration", "A board in many poses before a camera and a projector, then on the turning table; no object",
            calibration.OPTIONS, calibration.build),
+    Preset("voxel-coloring", "Voxel Coloring", "Cameras above an object that stands still in even light, as voxel coloring needs them",
+           voxel_coloring.OPTIONS, voxel_coloring.build),
 )})

@@ -17,7 +17,6 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
     "render.engine": "CYCLES",
     "cycles.use_adaptive_sampling": False,
     "cycles.use_denoising": False,
-    "cycles.use_fast_gi": False,
     "cycles.glossy_bounces": 0,
     "cycles.transmission_bounces": 0,
     "cycles.volume_bounces": 0,
@@ -59,6 +58,8 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
 
 # What a preset decides for its scene, besides the table above.
 STAGE_SETTINGS = (
+    "cycles.use_fast_gi",
+    "cycles.fast_gi_method",
     "cycles.samples",
     # None for most: a diffuse bounce is noise at one sample and colours every silhouette's neighbourhood.
     "cycles.max_bounces",
@@ -77,6 +78,12 @@ STAGE_SETTINGS = (
     "frame_end",
     "frame_step",
 )
+
+# Those of them that only some presets want otherwise: staging sets them before a preset does.
+STAGE_DEFAULTS: Mapping[str, object] = {"cycles.use_fast_gi": False}
+
+# With a world's ambient factor: light from all round, in closed form.
+AMBIENT_LIGHT: Mapping[str, object] = {"cycles.use_fast_gi": True, "cycles.fast_gi_method": "ADD"}
 
 
 def capture_settings(scene: bpy.types.Scene) -> dict[str, object]:

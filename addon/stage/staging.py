@@ -55,7 +55,7 @@ def build(scene: bpy.types.Scene, preset_name: str, subject: str | Path | bpy.ty
     ownership.remove_stage(scene)
     stage = ownership.create_stage(scene, preset_name, values)
     try:
-        scene_settings.apply(scene, scene_settings.capture_settings(scene))
+        scene_settings.apply(scene, {**scene_settings.capture_settings(scene), **scene_settings.STAGE_DEFAULTS})
         preset.build(scene, stage, found, values)
         ownership.hide_from_render(scene, stage, staged_objects(scene))
     except BaseException:

@@ -30,6 +30,7 @@ from ..stage import ownership, staging
 from ..stage.presets import PRESETS
 from .jobs import Job, MainThread, idle, in_thread
 from .masks import show_masks
+from .probability import start_at_threshold
 from .properties import field_name, values_of
 from .viewport import frame_stage, show_colors
 
@@ -195,6 +196,7 @@ class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
                                       voxels=settings.voxels, bounds=bounds, options=options, solids=solver(main.calling))
         found = yield from in_thread(_read, out)
         show_result(scene, found, smooth=settings.smooth)
+        start_at_threshold(settings, found)
         settings.result_lines, settings.measures = "\n".join(summary(report)), ""
 
     def show(self, context: bpy.types.Context) -> None:
@@ -220,6 +222,7 @@ class SCANSTAGE_OT_show_result(bpy.types.Operator):
             self.report({'ERROR'}, str(error))
             return {'CANCELLED'}
         show_result(context.scene, found, smooth=settings.smooth)
+        start_at_threshold(settings, found)
         settings.result_lines = "\n".join(summary(found.report))
         return {'FINISHED'}
 

@@ -12,6 +12,7 @@ import bpy
 from ..options import Option
 from ..reconstruction.methods import METHODS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
+from ..results.present import shown_probabilities
 from ..stage import ownership
 from ..stage.presets import PRESETS
 from . import operators
@@ -101,6 +102,9 @@ class SCANSTAGE_PT_result(_Panel, bpy.types.Panel):
         layout, settings = _split(self.layout), context.scene.scanstage
         _draw_lines(layout, settings.result_lines.splitlines() or ["no result"])
         layout.prop(settings, "smooth")
+        if shown_probabilities(context.scene):
+            layout.prop(settings, "least_probability")
+            layout.prop(settings, "probability_colors")
         layout.operator(operators.SCANSTAGE_OT_show_result.bl_idname, icon='HIDE_OFF')
         layout.operator(operators.SCANSTAGE_OT_export.bl_idname, icon='EXPORT')
 

@@ -25,6 +25,7 @@ from ..reconstruction.methods import DEFAULT_VOXELS, METHODS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..stage.objects import BUILTINS
 from ..stage.presets import PRESETS
+from .probability import show_again
 
 _FLOAT_UNITS = {Unit.LENGTH: {"unit": 'LENGTH'}, Unit.ANGLE: {"subtype": 'ANGLE'}, Unit.MILLIMETRES: {"unit": 'CAMERA'}}
 _LARGEST_INT = 2 ** 31 - 1
@@ -101,6 +102,10 @@ def _settings_fields() -> dict:
                                         description="Folder of the result. Empty: scanstage/result beside this file, or in "
                                         "Blender's temporary folder, which goes with Blender, while the file is not saved"),
         "smooth": BoolProperty(name="Smooth", description="Take off the voxels' steps with a live modifier"),
+        "least_probability": FloatProperty(name="Least Probability", description="Show the voxels that are more probable; nothing is "
+                                           "computed again", min=0.0, max=1.0, default=0.5, subtype='FACTOR', update=show_again),
+        "probability_colors": BoolProperty(name="Colour by Probability", description="Colour the voxels by their probability, and not "
+                                           "as the pictures show them", default=True, update=show_again),
         "result_lines": StringProperty(description="What the last reconstruction found, one fact a line"),
         "measures": StringProperty(description="The last comparison with the truth, as JSON"),
         "silhouettes": PointerProperty(type=_SILHOUETTES),

@@ -107,6 +107,32 @@ def test_a_method_that_cuts_solids_has_them_cut_between_two_steps(captured, tmp_
     assert read_ply(tmp_path / "mesh.ply").volume() == pytest.approx(report["polyhedron"]["volume"], rel=1e-4)
 
 
+def test_the_threshold_of_probabilities_is_live_and_can_be_undone(captured):
+    settings = captured.scanstage
+    settings.method, settings.method_probabilistic_carving.passes = "probabilistic-carving", 2
+    assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    assert settings.least_probability == pytest.approx(0.5)
+
+    def faces():
+        return len(bpy.context.scene.objects["Result"].data.polygons)
+
+    def threshold():
+        return bpy.context.scene.scanstage.least_probability
+
+    bpy.ops.ed.undo_push(message="Reconstruct")
+    first = faces()
+    settings.least_probability = 0.9
+    second = faces()
+    assert second != first
+    bpy.ops.ed.undo_push(message="Least Probability")
+    bpy.ops.ed.undo()
+    assert (faces(), threshold()) == (first, pytest.approx(0.5))
+    bpy.ops.ed.redo()
+    assert (faces(), threshold()) == (second, pytest.approx(0.9))
+    bpy.context.scene.scanstage.probability_colors = False
+    assert bpy.context.scene.objects["Result"].data.materials[0].name == "Scanstage Voxels"
+
+
 @pytest.mark.parametrize("operator, reason", [
     ("capture", "Build a stage first"), ("remove_stage", "Build a stage first"), ("reconstruct", "Capture or import pictures first"),
     ("show_masks", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"),

@@ -20,12 +20,12 @@ import numpy as np
 from ...progress import Progress, silent
 from ..geometry import Camera, VoxelGrid
 from ..scan import View
+from .footprints import premultiplied, reduced, reduction
 from .item_buffer import item_buffer
 from .surface import Surface
 
 NEUTRAL = 0.214  # linear; 0.5 in sRGB
 SMOOTHING = 2  # of the normals by which views are weighted
-PIXELS_PER_VOXEL = 2  # what a picture is reduced to where its voxels are larger
 LEAST_FACING = 0.1  # cosine; surfaces seen more obliquely are not read
 STEEPEST = 4.0  # tangent up to which a slope's own depth is allowed for in the depth test
 REACH = 2.0  # pixels from a voxel's point to the farthest pixel whose depth it is compared with
@@ -98,7 +98,7 @@ def color_surface(surface: Surface, grid: VoxelGrid, views: Sequence[View], prog
     for number, bits in enumerate(seen):
         if number not in rejected:
             count += np.unpackbits(bits, count=len(count))
-    rgb = _filled(surface, best.colors(), count > 0)
+    rgb = filled(surface, best.colors(), count > 0)
     progress(1.0, "Surface coloured")
     return SurfaceColors(rgb.astype(np.float32), count)
 
@@ -140,7 +140,7 @@ def _sample(patches: _Patches, surface: Surface, grid: VoxelGrid, view: View, *,
             border: int, bias: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the rows that a view sees, with their weights and (n, 3) colours."""
     rows, cosine = patches.facing(view.camera)
-    step = _step(view.camera, patches.points[rows], grid.voxel_size)
+    step = reduction(view.camera, patches.points[rows], grid.voxel_size)
     camera = view.camera.scaled(1 / step)
     (u, v), depth = (array.T for array in camera.project(patches.points[rows]))
     width, height = camera.size
@@ -156,22 +156,7 @@ def _sample(patches: _Patches, surface: Surface, grid: VoxelGrid, view: View, *,
 
     weight = (cosine / (size / step))[seen] ** 2  # in pixels of the whole picture, so that views compare
     weight[~inner.ravel().take(pixel[seen])] *= BORDER_WEIGHT
-    return rows[seen], weight * grid.voxel_size ** 2, _bilinear(_reduced(_premultiplied(view), step), u[seen], v[seen])
-
-
-def _step(camera: Camera, points: np.ndarray, voxel_size: float) -> int:
-    """Return by how much a picture can be reduced and still have `PIXELS_PER_VOXEL`, for the nearest of the points."""
-    depth = (points - camera.centre) @ camera.forward
-    if not (depth > 0).any():
-        return 1
-    voxel = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * voxel_size / depth[depth > 0].min()
-    return max(1, int(min(voxel, *camera.size) / PIXELS_PER_VOXEL))
-
-
-def _premultiplied(view: View) -> np.ndarray:
-    """Return a view's picture (h, w, 4) with its mask as alpha, so that no mean takes in what lies outside the mask."""
-    image = cv2.cvtColor(view.read_image().astype(np.float32, copy=False), cv2.COLOR_RGB2RGBA)
-    return image if view.mask is None else cv2.copyTo(image, view.mask.astype(np.uint8))
+    return rows[seen], weight * grid.voxel_size ** 2, _bilinear(reduced(premultiplied(view), step), u[seen], v[seen])
 
 
 def _allowed(view: View, border: int, step: int) -> tuple[np.ndarray, np.ndarray]:
@@ -180,17 +165,8 @@ def _allowed(view: View, border: int, step: int) -> tuple[np.ndarray, np.ndarray
     mask = np.ones((height, width), np.float32) if view.mask is None else view.mask.astype(np.float32)
     inner = cv2.erode(mask, np.ones((2 * border + 1,) * 2, np.uint8))  # beyond the picture counts as object
     # A sample between pixels reads the neighbours too: they must be as far from the outline.
-    inner = cv2.erode((_reduced(inner, step) > 0.999).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    return inner, _reduced(mask, step) >= 0.5
-
-
-def _reduced(image: np.ndarray, step: int) -> np.ndarray:
-    """Return means of step x step pixels, aligned as `Camera.scaled` has them."""
-    if step == 1:
-        return image
-    height, width = image.shape[:2]
-    image = cv2.copyMakeBorder(image, 0, -height % step, 0, -width % step, cv2.BORDER_REPLICATE)
-    return cv2.resize(image, (image.shape[1] // step, image.shape[0] // step), interpolation=cv2.INTER_AREA)
+    inner = cv2.erode((reduced(inner, step) > 0.999).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    return inner, reduced(mask, step) >= 0.5
 
 
 def _bilinear(image: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -271,7 +247,7 @@ def _median_of(values: np.ndarray, used: np.ndarray) -> np.ndarray:
     return np.where(count[:, None] > 0, 0.5 * (middle[0] + middle[1]), 0)
 
 
-def _filled(surface: Surface, rgb: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def filled(surface: Surface, rgb: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Give unseen voxels the mean colour of the seen surface they adjoin, a few steps deep; grey to the others.
 
     Steps go along the surface, from one voxel to those it shares a vertex with, so that no colour jumps across a gap.

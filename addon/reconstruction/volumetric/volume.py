@@ -111,17 +111,26 @@ class SparseVolume:
         return occupied & inside
 
     def without(self, voxels: np.ndarray) -> SparseVolume:
-        """Return the volume less the voxels with the (n, 3) integer indices, all of which lie in the grid."""
-        x, y, z = np.asarray(voxels).T
+        """Return the volume less the voxels (n, 3), each given at most once."""
+        return self.updated(voxels, np.zeros(len(voxels), bool))
+
+    def updated(self, voxels: np.ndarray, occupied: np.ndarray) -> SparseVolume:
+        """Return the volume with other contents of the voxels (n, 3), each given at most once: (n,) bool."""
+        voxels = np.asarray(voxels)
+        flat = np.ravel_multi_index((voxels // BRICK).T, self.brick_map.shape)
+        touched, place = np.unique(flat, return_inverse=True)
         brick_map = self.brick_map.copy()
-        broken = np.zeros(brick_map.shape, bool)  # full bricks that lose a voxel
-        broken[x // BRICK, y // BRICK, z // BRICK] = True
-        broken &= brick_map == FULL
-        brick_map[broken] = len(self.bricks) + np.arange(np.count_nonzero(broken), dtype=np.int32)
-        bricks = np.concatenate((self.bricks, np.ones((np.count_nonzero(broken), BRICK, BRICK, BRICK), bool)))
-        row = brick_map[x // BRICK, y // BRICK, z // BRICK]
-        inside = row >= 0
-        bricks[row[inside], x[inside] % BRICK, y[inside] % BRICK, z[inside] % BRICK] = False
+        rows = brick_map.ravel()[touched]
+        cells = np.zeros((len(touched), BRICK, BRICK, BRICK), bool)
+        cells[rows == FULL] = True
+        cells[rows >= 0] = self.bricks[rows[rows >= 0]]
+        cells[place.ravel(), *(voxels % BRICK).T] = occupied
+        brick_map.ravel()[touched] = np.where(cells.any(axis=(1, 2, 3)), FULL, EMPTY)
+        kept = brick_map >= 0
+        mixed = cells.any(axis=(1, 2, 3)) & ~cells.all(axis=(1, 2, 3))
+        bricks = np.concatenate((self.bricks[brick_map[kept]], cells[mixed]))
+        brick_map[kept] = np.arange(np.count_nonzero(kept))
+        brick_map.ravel()[touched[mixed]] = np.arange(np.count_nonzero(kept), len(bricks))
         return SparseVolume(self.grid, brick_map, bricks)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:

@@ -80,3 +80,23 @@ def test_slabs_must_be_as_many_as_the_grid_has():
     grid = VoxelGrid((0, 0, 0), 1.0, (20, 4, 4))
     with pytest.raises(ValueError):
         SparseVolume.from_slabs(grid, iter([np.zeros((8, 4, 4), bool)]))
+
+
+def test_updated_voxels_are_what_a_dense_array_would_hold():
+    rng = np.random.default_rng(8)
+    grid = VoxelGrid((0, 0, 0), 1.0, (20, 16, 27))
+    dense = rng.random(grid.shape) < 0.5
+    dense[:8, :8, :8], dense[8:16, 8:16, 8:16] = True, False
+    volume = SparseVolume.from_dense(grid, dense)
+    for voxels, occupied in (
+        (rng.permutation(np.argwhere(np.ones(grid.shape, bool)))[:3000], rng.random(3000) < 0.5),
+        (np.argwhere(dense[:8, :8, :8]), np.zeros(512, bool)),  # a full brick becomes empty
+        (np.argwhere(np.ones((8, 8, 8), bool)) + 8, np.ones(512, bool)),  # an empty one full
+        (np.zeros((0, 3), int), np.zeros(0, bool)),
+    ):
+        expected = dense.copy()
+        expected[tuple(voxels.T)] = occupied
+        found = volume.updated(voxels, occupied)
+        same = SparseVolume.from_dense(grid, expected)
+        np.testing.assert_array_equal(found.dense(), expected)
+        assert np.array_equal(np.minimum(found.brick_map, 0), np.minimum(same.brick_map, 0)) and len(found.bricks) == len(same.bricks)

@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A result whose voxels have probabilities, cut at any threshold: nothing is computed again but the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..reconstruction.geometry import VoxelGrid
+from ..reconstruction.volumetric.coloring import NEUTRAL
+from ..reconstruction.volumetric.probabilistic_carving import LAYER, above
+from ..reconstruction.volumetric.surface import Surface, extract_surface
+from .folder import Result
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The surface of the voxels above a threshold.
+
+    Parameters
+    ----------
+    surface : Surface
+    rgb : (s, 3) float32 array
+        Linear, one row for each row of ``surface.voxels``; grey where no picture shows the voxel.
+    probability : (s,) float32 array
+        The prior where no picture shows the voxel.
+    """
+
+    surface: Surface
+    rgb: np.ndarray
+    probability: np.ndarray
+
+
+def has_probabilities(result: Result) -> bool:
+    """Return whether the result's voxels have probabilities."""
+    return LAYER in result.layers and {"probability", "red", "green", "blue"} <= result.layers[LAYER].values.keys()
+
+
+def threshold_of(result: Result) -> float:
+    """Return the threshold that the result was made with."""
+    return float(result.report["options"]["least_probability"])
+
+
+def cut(result: Result, threshold: float) -> Cut:
+    """Return the surface of a result with probabilities at some threshold."""
+    layer = result.layers[LAYER]
+    surface = extract_surface(above(result.volume, layer, threshold))
+    grid = result.volume.grid
+    listed, wanted = _numbers(layer.voxels, grid), _numbers(surface.voxels, grid)
+    order = np.argsort(listed)
+    row = order[np.minimum(np.searchsorted(listed, wanted, sorter=order), len(order) - 1)] if len(order) else np.zeros(0, int)
+    known = listed[row] == wanted if len(order) else np.zeros(len(wanted), bool)
+    values = np.empty((len(wanted), 4), np.float32)
+    values[:] = (result.report["options"]["prior"], NEUTRAL, NEUTRAL, NEUTRAL)
+    values[known] = np.stack([layer.values[name][row[known]] for name in ("probability", "red", "green", "blue")], axis=1)
+    return Cut(surface, values[:, 1:], values[:, 0])
+
+
+def _numbers(voxels: np.ndarray, grid: VoxelGrid) -> np.ndarray:
+    return np.ravel_multi_index(voxels.T.astype(np.int64), grid.shape)
