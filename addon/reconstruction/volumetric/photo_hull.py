@@ -66,7 +66,8 @@ def _box(grid: VoxelGrid) -> SparseVolume:
 
 def pictures_of(scan: Scan, grid: VoxelGrid, kind: str, judge: Judge, progress: Progress = silent) -> Pictures:
     """Return the pictures as a method that begins with ``kind`` and its judge need them."""
-    return Pictures.of(scan.views, grid, progress, background=kind == "box", cells=judge.measure.needs == "cells")
+    needs = judge.measure.needs
+    return Pictures.of(scan.views, grid, progress, background=kind == "box", spread=needs == "spread", cells=needs == "cells")
 
 
 def carve_background(carving: Carving, pictures: Pictures) -> int:
