@@ -22,8 +22,9 @@ from .consistency import Judge
 from .footprints import Pictures
 from .surface import extract_surface
 from .visual_hull import visual_hull, working_bounds
-from .volume import FULL, SparseVolume, brick_counts
+from .volume import BRICK, FULL, SparseVolume, brick_counts
 
+# By the centre rule: the conservative hull's outermost voxels have their centres outside a silhouette and would never be seen.
 HULL = {"rule": "center", "tolerance": 0, "outside": "unknown"}
 
 OPTIONS = (
@@ -58,15 +59,16 @@ def start(scan: Scan, grid: VoxelGrid, kind: str, progress: Progress = silent) -
 
 def _box(grid: VoxelGrid) -> SparseVolume:
     """Return the volume of all voxels of a grid."""
-    if all(n % 8 == 0 for n in grid.shape):
-        return SparseVolume(grid, np.full(brick_counts(grid), FULL, np.int32), np.zeros((0, 8, 8, 8), bool))
-    return SparseVolume.from_slabs(grid, (np.ones((min(8, grid.shape[0] - x), *grid.shape[1:]), bool)
-                                          for x in range(0, grid.shape[0], 8)))
+    if all(n % BRICK == 0 for n in grid.shape):
+        return SparseVolume(grid, np.full(brick_counts(grid), FULL, np.int32), np.zeros((0, BRICK, BRICK, BRICK), bool))
+    return SparseVolume.from_slabs(grid, (np.ones((min(BRICK, grid.shape[0] - x), *grid.shape[1:]), bool)
+                                          for x in range(0, grid.shape[0], BRICK)))
 
 
 def pictures_of(scan: Scan, grid: VoxelGrid, kind: str, judge: Judge, progress: Progress = silent) -> Pictures:
     """Return the pictures as a method that begins with ``kind`` and its judge need them."""
-    return Pictures.of(scan.views, grid, progress, background=kind == "box", cells=judge.measure.needs == "cells")
+    needs = judge.measure.needs
+    return Pictures.of(scan.views, grid, progress, background=kind == "box", spread=needs == "spread", cells=needs == "cells")
 
 
 def carve_background(carving: Carving, pictures: Pictures) -> int:

@@ -17,7 +17,7 @@ from .footprints import Pictures, Samples, gather
 from .volume import BRICK
 
 NOTHING = 0  # the key of a place beyond the grid
-CORE = 0.45  # voxels from its centre at which a ray must pass a voxel to tell its colour
+CORE = 0.35  # voxels from its centre at which a ray must pass a voxel to tell its colour
 RAYS_AT_ONCE = 1 << 15
 
 

@@ -131,9 +131,11 @@ def sweep(carving: Carving, pictures: Pictures, judge: Judge, order: Order, prog
 def _wait(waiting: dict[int, list[np.ndarray]], carving: Carving, order: Order, keys: np.ndarray, least: int | None = None) -> None:
     """Put voxels into the lists of their layers, but for layers that the plane has passed."""
     layers = order.layer(carving.voxels(keys))
-    for layer in np.unique(layers):
-        if least is None or layer >= least:
-            waiting.setdefault(int(layer), []).append(keys[layers == layer])
+    first = int(layers.min(initial=0)) if least is None else least
+    for layer in range(first, int(layers.max(initial=first - 1)) + 1):
+        own = keys[layers == layer]
+        if len(own):
+            waiting.setdefault(layer, []).append(own)
 
 
 def _ends(grid: VoxelGrid, order: Order) -> tuple[np.ndarray, np.ndarray]:
