@@ -29,14 +29,14 @@ from .reconstruction.volumetric.polyhedral_hull import Solids
 from .results.folder import REPORT, Result, check_replaceable, read_result, report_section, write_result
 from .results.ply import read_ply
 
-INPUT_OPTIONS = {"silhouettes": SILHOUETTE_OPTIONS, "lights": SHADOW_OPTIONS, "patterns": ()}
-"""By what a method needs of a capture: the options of how that is taken from the pictures."""
+INPUT_OPTIONS = {"silhouettes": SILHOUETTE_OPTIONS, "lights": SHADOW_OPTIONS}
+"""By what a method needs of a capture: the options, where there are any, of how that is taken from the pictures."""
 
 
 def reconstruct_options(method: str) -> tuple[Option, ...]:
     """Return every option that `reconstruct` takes with a method: the method's and those of what it needs."""
     entry = methods.find_method(method)
-    return sum((INPUT_OPTIONS[need] for need in entry.needs), entry.options)
+    return sum((INPUT_OPTIONS.get(need, ()) for need in entry.needs), entry.options)
 
 
 def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.DEFAULT_VOXELS, bounds: np.ndarray | None = None,
@@ -112,7 +112,7 @@ def _divided(method: str, options: Mapping[str, Value]) -> tuple[dict[str, Value
         raise ScanstageError(f"method {method} has no option {min(unknown)!r}; its options are: {', '.join(known)}")
     inputs = {}
     for need in entry.needs:
-        chosen = [option for option in INPUT_OPTIONS[need] if option.name in options]
+        chosen = [option for option in INPUT_OPTIONS.get(need, ()) if option.name in options]
         inputs[need] = resolve(chosen, {option.name: options[option.name] for option in chosen}, need)
     taken = {name for values in inputs.values() for name in values}
     return {name: value for name, value in options.items() if name not in taken}, inputs

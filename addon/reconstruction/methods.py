@@ -59,8 +59,8 @@ class Method:
     Parameters
     ----------
     name, label, description : str
-    needs : tuple of {'silhouettes', 'lights', 'patterns'}
-        What a capture must hold: silhouettes; pictures under single lights; pictures under projected patterns.
+    needs : tuple of {'silhouettes', 'colour', 'lights', 'patterns'}
+        What a capture must hold: silhouettes; colours; pictures under single lights; pictures under projected patterns.
     options : tuple of Option
     function : callable
         ``function(scan, grid, *, progress, **options) -> Outcome``.

@@ -55,7 +55,7 @@ def test_every_entry_can_be_shown(method):
     assert METHODS[method.name] is method
     for text in (method.label, method.description, *(option.description for option in method.options)):
         assert text.strip() and not text.endswith(".")
-    assert method.needs and set(method.needs) <= {"silhouettes", "lights", "patterns"}
+    assert method.needs and set(method.needs) <= {"silhouettes", "colour", "lights", "patterns"}
 
 
 @EVERY_METHOD
