@@ -35,7 +35,8 @@ SHAPES = {
 OPTIONS = (
     Option("views", 24, "How many poses of the table, evenly round the circle, each camera captures",
            minimum=1, maximum=3600),
-    Option("lights", 4, "How many lights stand round each camera; a pose takes one picture for each, and one under all",
+    Option("lights", 4, "How many lights stand round each camera; a pose takes one picture for each, and one under all; a "
+           "single one gets a headlight beside it for the picture under all",
            minimum=1, maximum=32),
     Option("array", "ring", "How the lights are arranged", choices=SHAPES),
     Option("array_radius", 0.0, "From the camera to the outermost lights; 0 puts them 30 degrees off its axis, as seen from the "
@@ -60,10 +61,10 @@ def build(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject,
     ScanstageError
         The elevations, the distance or the array cannot be used, or the object cannot be staged.
     """
-    elevations, count = rig.parse_elevations(options["elevations"]), options["lights"]
+    elevations = rig.parse_elevations(options["elevations"])
     if options["light_size"] > 0:
         options = {**options, "samples": max(options["samples"], _SOFT_SAMPLES)}
-    frames = options["views"] * len(elevations) * _pictures(count)
+    frames = options["views"] * len(elevations) * (options["lights"] + 1)
     rig.apply_settings(scene, options, frames=frames, transparent=True, persistent=True)
     turntable = devices.add_turntable(stage)
     points = add_object(scene, stage, turntable, subject, fit=options["fit"])
@@ -73,7 +74,9 @@ def build(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject,
     turntable.empty_display_size = radius * 1.4
     devices.add_platter(stage, turntable, radius * 1.15, "none")
     offsets = _offsets(options, distance, rig.reach_of(points))
-    lights = [devices.add_light(stage, camera, 1 + i * count + j, _nearest(offset, distance, rig.reach_of(points)), offset=offset,
+    if len(offsets) == 1:  # a headlight, so that the picture under all lights shows what lies in the only shadow
+        offsets = np.concatenate((offsets, np.zeros((1, 3))))
+    lights = [devices.add_light(stage, camera, 1 + i * len(offsets) + j, _nearest(offset, distance, rig.reach_of(points)), offset=offset,
                                 size=options["light_size"])
               for i, camera in enumerate(cameras) for j, offset in enumerate(offsets)]
     _plan(scene, turntable, cameras, lights, options)
@@ -109,22 +112,16 @@ def _nearest(offset: np.ndarray, distance: float, reach: float) -> float:
     return max(away - reach, 0.1 * away)
 
 
-def _pictures(lights: int) -> int:
-    """Return how many pictures a camera takes at a pose: one under all lights, and one under each where that is another."""
-    return lights + 1 if lights > 1 else 1
-
-
 def _plan(scene: bpy.types.Scene, turntable: bpy.types.Object, cameras: Sequence[bpy.types.Object],
           lights: Sequence[bpy.types.Object], options: Mapping[str, Value]) -> None:
-    count, views = options["lights"], options["views"]
-    shape = views, len(cameras), _pictures(count)
+    views, each = options["views"], len(lights) // len(cameras)
+    shape = views, len(cameras), options["lights"] + 1  # pictures: under all lights, then under each of the array
     pose, camera, lit = np.unravel_index(np.arange(np.prod(shape)), shape)
     keyframe_steps(turntable, "rotation_euler", (2 * math.pi * pose / views).tolist(), index=2)
     bind_cameras(scene, [cameras[i] for i in camera])
     for i, light in enumerate(lights):
-        owner, number = divmod(i, count)
-        strength = np.where(lit == 0, 1 / count, (lit == number + 1) * 1.0) * (camera == owner)
+        owner, number = divmod(i, each)
+        strength = np.where(lit == 0, 1 / each, (lit == number + 1) * 1.0) * (camera == owner)
         switch_light(light.data, strength.tolist())
-    if count > 1:
-        even = 1 << (count - 1).bit_length()
-        keyframe_scene(scene, "cycles.samples", np.where(lit == 0, max(even, options["samples"]), options["samples"]).tolist())
+    even = max(1 << (each - 1).bit_length(), options["samples"])
+    keyframe_scene(scene, "cycles.samples", np.where(lit == 0, even, options["samples"]).tolist())

@@ -27,8 +27,10 @@ def test_every_pose_is_captured_under_all_lights_and_under_each(empty_scene):
         assert np.arctan2(turned[0, 1, 0], turned[0, 0, 0]) % (2 * np.pi) == pytest.approx(2 * np.pi * pose / 3, abs=1e-6)
 
 
-def test_a_single_light_needs_no_picture_under_all(empty_scene):
-    assert [frame.lights for frame in plan(empty_scene, lights=1).frames] == [("light-1",)] * 3
+def test_a_single_light_gets_a_headlight_without_which_its_shadow_could_be_paint(empty_scene):
+    found = plan(empty_scene, lights=1)
+    assert [frame.lights for frame in found.frames] == [("light-1", "light-2"), ("light-1",)] * 3
+    np.testing.assert_allclose(found.lights["light-2"].position, found.cameras["camera-1"].centre, atol=1e-6)
 
 
 def test_each_of_several_cameras_has_an_array_of_its_own(empty_scene):
