@@ -79,9 +79,10 @@ def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = Non
                              "capture at least one frame without a pattern")
     options = resolve(SILHOUETTE_OPTIONS, {**capture.silhouette, **(silhouette_options or {})}, "silhouette")
     shadows = None if shadow_options is None else resolve(SHADOW_OPTIONS, shadow_options, "shadows")
+    step = "Shadows" if shadows is not None else "Silhouette" if silhouettes else "View"
     views, groups = [], lighting_groups(frames)
     for index, group in enumerate(groups):
-        progress(index / len(groups), f"{'View' if shadows is None else 'Shadows of view'} {index + 1} of {len(groups)}")
+        progress(index / len(groups), f"{step} {index + 1} of {len(groups)}")
         view = _view(folder, capture, group, options if silhouettes else None, projected.pop(_place(group[0]), ()))
         views.append(view if shadows is None else _with_shadows(folder, capture, view, shadows))
     if not silhouettes:
