@@ -11,6 +11,7 @@ import bpy
 
 from ..options import Option
 from ..reconstruction.methods import METHODS
+from ..reconstruction.shadows import SHADOW_OPTIONS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..results.present import shown_probabilities
 from ..stage import ownership
@@ -72,6 +73,11 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
         if body:
             _draw_options(_split(body), settings.silhouettes, SILHOUETTE_OPTIONS)
             body.operator(operators.SCANSTAGE_OT_show_masks.bl_idname, icon='IMAGE_ALPHA')
+        header, body = layout.panel("scanstage_shadows", default_closed=True)
+        header.label(text="Shadows")
+        if body:
+            _draw_options(_split(body), settings.shadows, SHADOW_OPTIONS)
+            body.operator(operators.SCANSTAGE_OT_show_shadows.bl_idname, icon='LIGHT')
 
 
 class SCANSTAGE_PT_reconstruct(_Panel, bpy.types.Panel):
