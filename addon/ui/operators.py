@@ -26,6 +26,7 @@ from ..render.capture import capture_frames
 from ..results import folder as results
 from ..results.booleans import solver
 from ..results.export import export_result
+from ..results.pictures import picture_files, show_pictures
 from ..results.present import face_errors, show_comparison, show_result
 from ..stage import ownership, staging
 from ..stage.presets import PRESETS
@@ -33,7 +34,7 @@ from .jobs import Job, MainThread, idle, in_thread
 from .masks import show_masks, show_shadows
 from .probability import start_at_threshold
 from .properties import changed_values, field_name, values_of
-from .viewport import frame_stage, show_colors
+from .viewport import frame_stage, show_colors, show_image
 
 _INPUT_SETTINGS = {"silhouettes": "silhouettes", "lights": "shadows"}  # by what a method needs: the settings of how it is found
 
@@ -248,6 +249,33 @@ class SCANSTAGE_OT_show_result(bpy.types.Operator):
         return {'FINISHED'}
 
 
+class SCANSTAGE_OT_show_pictures(bpy.types.Operator):
+    """Load the pictures that the method made, to be looked at in the Image Editor"""
+
+    bl_idname = "scanstage.show_pictures"
+    bl_label = "Show Pictures"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not _has_result(cls, context):
+            return False
+        if not picture_files(result_folder(context.scene)):
+            cls.poll_message_set("The method of this result makes no pictures")
+            return False
+        return idle(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            images = show_pictures(result_folder(context.scene))
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        show_image(context, images[0])
+        self.report({'INFO'}, f"{len(images)} pictures, for the Image Editor: {', '.join(image.name for image in images)}"[:400])
+        return {'FINISHED'}
+
+
 class SCANSTAGE_OT_evaluate(Job, bpy.types.Operator):
     """Compare the result with the true object, and lay truth, result and error side by side"""
 
@@ -353,5 +381,6 @@ def _has_result(cls, context: bpy.types.Context) -> bool:
 
 
 CLASSES = (SCANSTAGE_OT_stage, SCANSTAGE_OT_remove_stage, SCANSTAGE_OT_capture, SCANSTAGE_OT_import, SCANSTAGE_OT_show_masks,
-           SCANSTAGE_OT_show_shadows, SCANSTAGE_OT_reconstruct, SCANSTAGE_OT_show_result, SCANSTAGE_OT_evaluate, SCANSTAGE_OT_export)
+           SCANSTAGE_OT_show_shadows, SCANSTAGE_OT_reconstruct, SCANSTAGE_OT_show_result, SCANSTAGE_OT_show_pictures,
+           SCANSTAGE_OT_evaluate, SCANSTAGE_OT_export)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -112,6 +112,7 @@ class SCANSTAGE_PT_result(_Panel, bpy.types.Panel):
             layout.prop(settings, "least_probability")
             layout.prop(settings, "probability_colors")
         layout.operator(operators.SCANSTAGE_OT_show_result.bl_idname, icon='HIDE_OFF')
+        layout.operator(operators.SCANSTAGE_OT_show_pictures.bl_idname, icon='IMAGE_DATA')
         layout.operator(operators.SCANSTAGE_OT_export.bl_idname, icon='EXPORT')
 
 

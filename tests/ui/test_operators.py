@@ -18,6 +18,7 @@ from addon.reconstruction.methods import METHODS
 from addon.reconstruction.shadows import SHADOW_OPTIONS
 from addon.reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from addon.results.folder import read_result
+from addon.results.pictures import picture_files
 from addon.results.ply import read_ply
 from addon.stage.presets import PRESETS
 
@@ -140,8 +141,12 @@ def test_options_of_shadows_reach_the_method_and_what_it_carved_is_shown(lit, tm
     mine, found = read_result(by_hand), read_result(result)
     np.testing.assert_array_equal(mine.volume.dense(), found.volume.dense())
     assert len(mine.layers["carved"].voxels) and "Carved by Shadows" in bpy.data.objects
+    assert bpy.ops.scanstage.show_pictures() == {'FINISHED'}
+    assert {path.stem for path in picture_files(result)} <= set(bpy.data.images.keys())
     settings.method = "visual-hull"
     assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    with pytest.raises(RuntimeError, match="makes no pictures"):
+        bpy.ops.scanstage.show_pictures()
     assert "shadows" not in read_result(result).report and "Carved by Shadows" not in bpy.data.objects
 
 
@@ -204,7 +209,7 @@ def test_the_threshold_of_probabilities_is_live_and_can_be_undone(captured):
 
 @pytest.mark.parametrize("operator, reason", [
     ("capture", "Build a stage first"), ("remove_stage", "Build a stage first"), ("reconstruct", "Capture or import pictures first"),
-    ("show_masks", "Capture or import pictures first"), ("show_shadows", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"),
+    ("show_masks", "Capture or import pictures first"), ("show_shadows", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"), ("show_pictures", "Reconstruct first"),
     ("export_mesh", "Reconstruct first")])
 def test_a_button_that_cannot_work_yet_says_why(scene, operator, reason):
     with pytest.raises(RuntimeError, match=reason):
