@@ -16,7 +16,7 @@ from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..results.present import shown_probabilities
 from ..stage import ownership
 from ..stage.presets import PRESETS
-from . import operators
+from . import calibrating, operators
 from .properties import field_name
 
 _DEFAULT_FOLDER = "Beside this file"
@@ -78,6 +78,11 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
         if body:
             _draw_options(_split(body), settings.shadows, SHADOW_OPTIONS)
             body.operator(operators.SCANSTAGE_OT_show_shadows.bl_idname, icon='LIGHT')
+        header, body = layout.panel("scanstage_calibration", default_closed=True)
+        header.label(text="Calibration")
+        if body:
+            body.operator(calibrating.SCANSTAGE_OT_calibrate.bl_idname, icon='CON_CAMERASOLVER')
+            _draw_lines(body, settings.calibration_lines.splitlines())
 
 
 class SCANSTAGE_PT_reconstruct(_Panel, bpy.types.Panel):

@@ -114,6 +114,7 @@ def _settings_fields() -> dict:
         "probability_colors": BoolProperty(name="Colour by Probability", description="Colour the voxels by their probability, and not "
                                            "as the pictures show them", default=True, update=show_again),
         "result_lines": StringProperty(description="What the last reconstruction found, one fact a line"),
+        "calibration_lines": StringProperty(description="What the last calibration found, one fact a line"),
         "measures": StringProperty(description="The last comparison with the truth, as JSON"),
         "silhouettes": PointerProperty(type=_SILHOUETTES),
         "shadows": PointerProperty(type=_SHADOWS),
