@@ -50,9 +50,15 @@ def add_carved(result: Result, *, collection: bpy.types.Collection, frame: np.nd
     values = {name: layer.values[name][rows].astype(np.int32) for name in _VALUES}
     added = add_voxel_mesh(CARVED_NAME, surface, _palette()[values["light"] % len(LIGHT_COLORS)], collection=collection, grid=grid,
                            frame=frame, method=str(result.report.get("method", "")), attributes=values, replace=False)
-    carved_by = result.report.get("carved_by")
-    added["lights"] = ", ".join(map(str, carved_by["lights"])) if isinstance(carved_by, dict) and "lights" in carved_by else ""
+    added["lights"] = ", ".join(_light_names(result.report))
     return added
+
+
+def _light_names(report: dict) -> list[str]:
+    """Return the names of the lights by their numbers; none where a report, which anybody may have written, has no such list."""
+    carved_by = report.get("carved_by")
+    names = carved_by.get("lights") if isinstance(carved_by, dict) else None
+    return [str(name) for name in names] if isinstance(names, list) else []
 
 
 def _palette() -> np.ndarray:
