@@ -63,6 +63,16 @@ def read_layers(file: VolumeFile, fields: object, grid: VoxelGrid, path: Path) -
     return layers
 
 
+def rows_of(layer: VoxelLayer, voxels: np.ndarray, grid: VoxelGrid) -> np.ndarray:
+    """Return (n,) int: the row of the layer that holds each of the voxels (n, 3), -1 where none does."""
+    if not len(layer.voxels):
+        return np.full(len(voxels), -1)
+    listed, wanted = (np.ravel_multi_index(table.T.astype(np.int64), grid.shape) for table in (layer.voxels, voxels))
+    order = np.argsort(listed)
+    rows = order[np.minimum(np.searchsorted(listed, wanted, sorter=order), len(order) - 1)]
+    return np.where(listed[rows] == wanted, rows, -1)
+
+
 def _mapping(value: object, path: Path, place: str) -> dict:
     if not isinstance(value, dict) or len(value) > _MOST or not all(_NAME.fullmatch(name) for name in value):
         raise ScanstageError(f"{path}: {place} must be an object of at most {_MOST} names; {AGAIN}")

@@ -16,6 +16,7 @@ from ..reconstruction.evaluation import vertex_distances
 from ..reconstruction.mesh import TriangleMesh
 from ..stage.ownership import find_stage
 from ..stage.readback import frame_kept, staged_objects, truth_mesh, turntable_of
+from .carved import add_carved
 from .comparison import add_comparison
 from .folder import Result
 from .materials import OWNER, probability_material, voxel_material
@@ -44,7 +45,9 @@ def results_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
 
 
 def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False) -> bpy.types.Object:
-    """Put a result's mesh, or its voxels', into the scene, beside the object, and its points beside that; earlier ones are replaced.
+    """Put a result's mesh, or its voxels', into the scene, beside the object; earlier ones are replaced.
+
+    Beside that stand the points, of a method that measures some, and the voxels that shadows carved.
 
     Parameters
     ----------
@@ -66,10 +69,12 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
         beside = _staged(scene)[0]
     step = [(1 + _GAP) * float(np.ptp(result.surface.vertices[:, 0])), 0, 0]
     beside[:3, 3] += step
+    farther = beside.copy()
+    farther[:3, 3] += step
     if result.points is not None:
-        farther = beside.copy()
-        farther[:3, 3] += step
         add_points(POINTS_NAME, result.points, collection=home, frame=farther, method=_method(result))
+        farther[:3, 3] += step
+    add_carved(result, collection=home, frame=farther)
     if result.mesh is not None:
         return add_polygon_mesh(RESULT_NAME, result.mesh.vertices, result.mesh.triangles, collection=home, frame=beside,
                                 method=_method(result), replace=False)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.volumetric.coloring import NEUTRAL
 from ..reconstruction.volumetric.probabilistic_carving import LAYER, above
 from ..reconstruction.volumetric.surface import Surface, extract_surface
 from .folder import Result
+from .layers import rows_of
 
 
 @dataclass(frozen=True)
@@ -47,16 +47,9 @@ def cut(result: Result, threshold: float) -> Cut:
     """Return the surface of a result with probabilities at some threshold."""
     layer = result.layers[LAYER]
     surface = extract_surface(above(result.volume, layer, threshold))
-    grid = result.volume.grid
-    listed, wanted = _numbers(layer.voxels, grid), _numbers(surface.voxels, grid)
-    order = np.argsort(listed)
-    row = order[np.minimum(np.searchsorted(listed, wanted, sorter=order), len(order) - 1)] if len(order) else np.zeros(0, int)
-    known = listed[row] == wanted if len(order) else np.zeros(len(wanted), bool)
-    values = np.empty((len(wanted), 4), np.float32)
+    row = rows_of(layer, surface.voxels, result.volume.grid)
+    known = row >= 0
+    values = np.empty((len(row), 4), np.float32)
     values[:] = (result.report["options"]["prior"], NEUTRAL, NEUTRAL, NEUTRAL)
     values[known] = np.stack([layer.values[name][row[known]] for name in ("probability", "red", "green", "blue")], axis=1)
     return Cut(surface, values[:, 1:], values[:, 0])
-
-
-def _numbers(voxels: np.ndarray, grid: VoxelGrid) -> np.ndarray:
-    return np.ravel_multi_index(voxels.T.astype(np.int64), grid.shape)

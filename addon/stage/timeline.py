@@ -14,7 +14,7 @@ SWITCH = "Scanstage On"
 
 def keyframe_steps(owner: bpy.types.ID, data_path: str, values: Sequence[float], *, index: int = 0,
                    start: int = 1) -> None:
-    """Give a property one value a frame, without any value between two frames.
+    """Give a property one value a frame, without any value between two frames; keys that it has go.
 
     Parameters
     ----------
@@ -33,6 +33,7 @@ def keyframe_steps(owner: bpy.types.ID, data_path: str, values: Sequence[float],
     action = owner.animation_data.action or mark(bpy.data.actions.new(f"{owner.name} Plan"))
     owner.animation_data.action = action
     curve = action.fcurve_ensure_for_datablock(owner, data_path, index=index)
+    curve.keyframe_points.clear()
     curve.keyframe_points.add(len(keys))
     curve.keyframe_points.foreach_set("co", [number for key in keys for number in key])
     for point in curve.keyframe_points:

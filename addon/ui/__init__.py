@@ -5,17 +5,19 @@
 - `properties`: what a scene remembers; the options come out of the tables of presets, methods and silhouettes.
 - `jobs`: long work as steps, with progress, Esc and a thread for what never touches Blender.
 - `operators`: adapters: gather what is set, call a function, report.
+- `calibrating`: the operator that calibrates the devices of a capture set.
 - `panels`: draw, and nothing else.
 - `devices`: projectors and lasers by hand.
 """
 
-from . import devices, operators, panels, properties
+from . import calibrating, devices, operators, panels, properties
 
 
 def register() -> None:
     """Register every class and attach the settings to scenes."""
     properties.register()
     operators.register()
+    calibrating.register()
     panels.register()
     devices.register()
 
@@ -24,5 +26,6 @@ def unregister() -> None:
     """Undo `register`, in reverse."""
     devices.unregister()
     panels.unregister()
+    calibrating.unregister()
     operators.unregister()
     properties.unregister()

@@ -20,19 +20,23 @@ from ..captures.schema import FILE_NAME
 from ..captures.store import read_capture
 from ..errors import ScanstageError
 from ..reconstruction.methods import COMMON_COUNTS, METHODS
+from ..reconstruction.shadows import SHADOW_OPTIONS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..render.capture import capture_frames
 from ..results import folder as results
 from ..results.booleans import solver
 from ..results.export import export_result
+from ..results.pictures import picture_files, show_pictures
 from ..results.present import face_errors, show_comparison, show_result
 from ..stage import ownership, staging
 from ..stage.presets import PRESETS
 from .jobs import Job, MainThread, idle, in_thread
-from .masks import show_masks
+from .masks import show_masks, show_shadows
 from .probability import start_at_threshold
-from .properties import field_name, values_of
-from .viewport import frame_stage, show_colors
+from .properties import changed_values, field_name, values_of
+from .viewport import frame_stage, show_colors, show_image
+
+_INPUT_SETTINGS = {"silhouettes": "silhouettes", "lights": "shadows"}  # by what a method needs: the settings of how it is found
 
 
 def capture_folder(scene: bpy.types.Scene) -> Path:
@@ -173,6 +177,24 @@ class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
         show_masks(context.scene, folder)
 
 
+class SCANSTAGE_OT_show_shadows(Job, bpy.types.Operator):
+    """Find the shadows and show them as the image of each camera: white in shadow, black lit, grey undecided"""
+
+    bl_idname = "scanstage.show_shadows"
+    bl_label = "Show Shadows"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_captures(cls, context) and idle(cls, context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        folder = capture_folder(context.scene)
+        yield from in_thread(load_scan, folder, silhouettes=False,
+                             shadow_options=values_of(context.scene.scanstage.shadows, SHADOW_OPTIONS))
+        show_shadows(context.scene, folder)
+
+
 class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
     """Run the method on the captures and put the resulting mesh beside the object"""
 
@@ -188,8 +210,8 @@ class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
         scene, settings = context.scene, context.scene.scanstage
         out, method = result_folder(context.scene), METHODS[settings.method]
         options = values_of(getattr(settings, field_name("method", method.name)), method.options)
-        if "silhouettes" in method.needs:
-            options |= changed_values(settings.silhouettes)
+        for need in workflow.INPUT_OPTIONS.keys() & set(method.needs):
+            options |= changed_values(getattr(settings, _INPUT_SETTINGS[need]), workflow.INPUT_OPTIONS[need])
         bounds = np.array([settings.bounds_lower, settings.bounds_upper]) if settings.use_bounds else None
         main = MainThread()
         report = yield from in_thread(workflow.reconstruct, capture_folder(context.scene), method.name, out, main=main,
@@ -224,6 +246,33 @@ class SCANSTAGE_OT_show_result(bpy.types.Operator):
         show_result(context.scene, found, smooth=settings.smooth)
         start_at_threshold(settings, found)
         settings.result_lines = "\n".join(summary(found.report))
+        return {'FINISHED'}
+
+
+class SCANSTAGE_OT_show_pictures(bpy.types.Operator):
+    """Load the pictures that the method made, to be looked at in the Image Editor"""
+
+    bl_idname = "scanstage.show_pictures"
+    bl_label = "Show Pictures"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not _has_result(cls, context):
+            return False
+        if not picture_files(result_folder(context.scene)):
+            cls.poll_message_set("The method of this result makes no pictures")
+            return False
+        return idle(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            images = show_pictures(result_folder(context.scene))
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        show_image(context, images[0])
+        self.report({'INFO'}, f"{len(images)} pictures, for the Image Editor: {', '.join(image.name for image in images)}"[:400])
         return {'FINISHED'}
 
 
@@ -302,11 +351,6 @@ def capture_state(folder: Path) -> str:
     return f"{len(capture.frames) - len(capture.missing)} of {len(capture.frames)} frames captured"
 
 
-def changed_values(group: bpy.types.PropertyGroup) -> dict:
-    """Return the options that the user set: what was left alone stays the capture set's own."""
-    return {option.name: getattr(group, option.name) for option in SILHOUETTE_OPTIONS if group.is_property_set(option.name)}
-
-
 def summary(report: dict) -> list[str]:
     """Return what a panel shows of a reconstruction, one fact a line."""
     counts, iou = report["counts"], report["silhouette_iou"]["mean"]
@@ -337,5 +381,6 @@ def _has_result(cls, context: bpy.types.Context) -> bool:
 
 
 CLASSES = (SCANSTAGE_OT_stage, SCANSTAGE_OT_remove_stage, SCANSTAGE_OT_capture, SCANSTAGE_OT_import, SCANSTAGE_OT_show_masks,
-           SCANSTAGE_OT_reconstruct, SCANSTAGE_OT_show_result, SCANSTAGE_OT_evaluate, SCANSTAGE_OT_export)
+           SCANSTAGE_OT_show_shadows, SCANSTAGE_OT_reconstruct, SCANSTAGE_OT_show_result, SCANSTAGE_OT_show_pictures,
+           SCANSTAGE_OT_evaluate, SCANSTAGE_OT_export)
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -11,11 +11,12 @@ import bpy
 
 from ..options import Option
 from ..reconstruction.methods import METHODS
+from ..reconstruction.shadows import SHADOW_OPTIONS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..results.present import shown_probabilities
 from ..stage import ownership
 from ..stage.presets import PRESETS
-from . import operators
+from . import calibrating, operators
 from .properties import field_name
 
 _DEFAULT_FOLDER = "Beside this file"
@@ -72,6 +73,16 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
         if body:
             _draw_options(_split(body), settings.silhouettes, SILHOUETTE_OPTIONS)
             body.operator(operators.SCANSTAGE_OT_show_masks.bl_idname, icon='IMAGE_ALPHA')
+        header, body = layout.panel("scanstage_shadows", default_closed=True)
+        header.label(text="Shadows")
+        if body:
+            _draw_options(_split(body), settings.shadows, SHADOW_OPTIONS)
+            body.operator(operators.SCANSTAGE_OT_show_shadows.bl_idname, icon='LIGHT')
+        header, body = layout.panel("scanstage_calibration", default_closed=True)
+        header.label(text="Calibration")
+        if body:
+            body.operator(calibrating.SCANSTAGE_OT_calibrate.bl_idname, icon='CON_CAMERASOLVER')
+            _draw_lines(body, settings.calibration_lines.splitlines())
 
 
 class SCANSTAGE_PT_reconstruct(_Panel, bpy.types.Panel):
@@ -106,6 +117,7 @@ class SCANSTAGE_PT_result(_Panel, bpy.types.Panel):
             layout.prop(settings, "least_probability")
             layout.prop(settings, "probability_colors")
         layout.operator(operators.SCANSTAGE_OT_show_result.bl_idname, icon='HIDE_OFF')
+        layout.operator(operators.SCANSTAGE_OT_show_pictures.bl_idname, icon='IMAGE_DATA')
         layout.operator(operators.SCANSTAGE_OT_export.bl_idname, icon='EXPORT')
 
 

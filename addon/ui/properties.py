@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene remembers of the work, and what the running job tells the panels.
 
-The options of presets, methods and silhouettes are made from the tables that also feed the command line: a new option
+The options of presets, methods, silhouettes and shadows are made from the tables that also feed the command line: a new option
 there is a new field in the panel, with its tooltip, unit, bounds and default.
 """
 
@@ -22,6 +22,7 @@ from bpy.props import (
 from ..captures.importers import IMPORTERS
 from ..options import Option, Unit, Value
 from ..reconstruction.methods import DEFAULT_VOXELS, METHODS
+from ..reconstruction.shadows import SHADOW_OPTIONS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..stage.objects import BUILTINS
 from ..stage.presets import PRESETS
@@ -39,6 +40,11 @@ def field_name(prefix: str, name: str) -> str:
 def values_of(group: bpy.types.PropertyGroup, options: tuple[Option, ...]) -> dict[str, Value]:
     """Return what the user set, as the functions take it."""
     return {option.name: getattr(group, option.name) for option in options}
+
+
+def changed_values(group: bpy.types.PropertyGroup, options: tuple[Option, ...]) -> dict[str, Value]:
+    """Return the options that the user set: what was left alone stays as the capture set, or the function, has it."""
+    return {name: value for name, value in values_of(group, options).items() if group.is_property_set(name)}
 
 
 def _property(option: Option):
@@ -68,6 +74,7 @@ def _items(table) -> list[tuple[str, str, str]]:
 
 
 _SILHOUETTES = _group("silhouettes", SILHOUETTE_OPTIONS)
+_SHADOWS = _group("shadows", SHADOW_OPTIONS)
 _PRESET_GROUPS = {field_name("preset", name): _group(field_name("preset", name), preset.options) for name, preset in PRESETS.items()}
 _METHOD_GROUPS = {field_name("method", name): _group(field_name("method", name), method.options) for name, method in METHODS.items()}
 
@@ -107,8 +114,10 @@ def _settings_fields() -> dict:
         "probability_colors": BoolProperty(name="Colour by Probability", description="Colour the voxels by their probability, and not "
                                            "as the pictures show them", default=True, update=show_again),
         "result_lines": StringProperty(description="What the last reconstruction found, one fact a line"),
+        "calibration_lines": StringProperty(description="What the last calibration found, one fact a line"),
         "measures": StringProperty(description="The last comparison with the truth, as JSON"),
         "silhouettes": PointerProperty(type=_SILHOUETTES),
+        "shadows": PointerProperty(type=_SHADOWS),
     }
     fields |= {name: PointerProperty(type=group) for name, group in (_PRESET_GROUPS | _METHOD_GROUPS).items()}
     return fields
@@ -126,7 +135,7 @@ class SCANSTAGE_PG_job(bpy.types.PropertyGroup):
 SCANSTAGE_PG_settings = type("SCANSTAGE_PG_settings", (bpy.types.PropertyGroup,), {
     "__annotations__": _settings_fields(), "__doc__": "Everything that the panels set."})
 
-CLASSES = (_SILHOUETTES, *_PRESET_GROUPS.values(), *_METHOD_GROUPS.values(), SCANSTAGE_PG_job, SCANSTAGE_PG_settings)
+CLASSES = (_SILHOUETTES, _SHADOWS, *_PRESET_GROUPS.values(), *_METHOD_GROUPS.values(), SCANSTAGE_PG_job, SCANSTAGE_PG_settings)
 _register_classes, _unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 

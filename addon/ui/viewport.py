@@ -31,3 +31,10 @@ def show_colors(context: bpy.types.Context) -> None:
     shading = getattr(context.space_data, "shading", None)
     if shading is not None and shading.type == 'SOLID':
         shading.type = 'MATERIAL'
+
+
+def show_image(context: bpy.types.Context, image: bpy.types.Image) -> None:
+    """Show an image in the Image Editors of the screen that was clicked in."""
+    for area in context.screen.areas if context.screen else ():
+        if area.type == 'IMAGE_EDITOR':
+            area.spaces.active.image = image

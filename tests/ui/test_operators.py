@@ -11,11 +11,14 @@ import pytest
 
 import addon
 from addon import workflow
-from addon.captures.store import read_capture
+from addon.captures.scan import load_scan
+from addon.captures.store import read_capture, read_picture
 from addon.errors import Cancelled, ScanstageError
 from addon.reconstruction.methods import METHODS
+from addon.reconstruction.shadows import SHADOW_OPTIONS
 from addon.reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from addon.results.folder import read_result
+from addon.results.pictures import picture_files
 from addon.results.ply import read_ply
 from addon.stage.presets import PRESETS
 
@@ -74,6 +77,77 @@ def test_from_stage_to_evaluation(captured, tmp_path):
 
     assert bpy.ops.scanstage.remove_stage() == {'FINISHED'}
     assert "Scanstage" not in bpy.data.collections and "Result" in bpy.data.objects
+
+
+@pytest.fixture
+def lit(scene):
+    """The scene, staged and captured under all lights, under the first and under the second, in each of four views."""
+    scene.scanstage.preset, scene.scanstage.builtin = "shadow-array", "dented-sphere"
+    rig = scene.scanstage.preset_shadow_array
+    rig.views, rig.lights, rig.resolution_x, rig.resolution_y = 4, 2, 160, 120
+    assert bpy.ops.scanstage.stage() == {'FINISHED'}
+    assert bpy.ops.scanstage.capture() == {'FINISHED'}
+    return scene
+
+
+def shown_frames(scene, name):
+    """Return the frames of the timeline at which the scene's camera shows the image sequence of a name."""
+    frames = []
+    for number in range(scene.frame_start, scene.frame_end + 1):
+        scene.frame_set(number)
+        frames += [number for b in scene.camera.data.background_images if b.image.name == name and b.show_background_image]
+    return frames
+
+
+def test_shadows_and_silhouettes_are_shown_where_there_are_some(lit, tmp_path):
+    capture = tmp_path / "scanstage" / "capture"
+    frames = read_capture(capture).frames
+    single = [number for number, frame in enumerate(frames, 1) if len(frame.lights) == 1]
+    assert len(single) == 8 and len(frames) == 12
+    lit.scanstage.shadows.shadow_area = 1
+    assert bpy.ops.scanstage.show_shadows() == {'FINISHED'}
+    assert shown_frames(lit, "Shadows") == single
+    scan = load_scan(capture, silhouettes=False, shadow_options={"shadow_area": 1})
+    assert any(view.shadows.of(0).any() for view in scan.views)
+    for view in scan.views:
+        for number, picture in enumerate(view.lit):
+            np.testing.assert_array_equal(read_picture(capture / "shadows" / f"{picture.name}.png", "linear")[0][..., 0] == 1,
+                                          view.shadows.of(number))
+    for _ in range(2):
+        assert bpy.ops.scanstage.show_masks() == {'FINISHED'}
+        assert shown_frames(lit, "Silhouettes") == [number for number in range(1, 13) if number not in single]
+    assert len(lit.camera.data.background_images) == 2 and shown_frames(lit, "Shadows") == single
+    bpy.ops.scanstage.remove_stage()
+    assert not [action for action in bpy.data.actions if "scanstage_made" in action]
+
+
+def test_shadows_need_single_lights(captured, tmp_path):
+    path = tmp_path / "scanstage" / "capture" / "capture.json"
+    fields = json.loads(path.read_text())
+    path.write_text(json.dumps({**fields, "frames": [{**frame, "lights": []} for frame in fields["frames"]]}))
+    with pytest.raises(RuntimeError, match="shadow-array"):
+        bpy.ops.scanstage.show_shadows()
+
+
+def test_options_of_shadows_reach_the_method_and_what_it_carved_is_shown(lit, tmp_path):
+    settings, result = lit.scanstage, tmp_path / "scanstage" / "result"
+    settings.method, settings.shadows.shadow_margin, settings.silhouettes.dilate = "shadow-carving", 0, 1
+    assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    report = read_result(result).report
+    assert (report["shadows"], report["silhouette"]) == ({"shadow_margin": 0}, {"dilate": 1})
+    by_hand = tmp_path / "by hand"
+    workflow.reconstruct(tmp_path / "scanstage" / "capture", "shadow-carving", by_hand, voxels=40,
+                         options={"shadow_margin": 0, "dilate": 1})
+    mine, found = read_result(by_hand), read_result(result)
+    np.testing.assert_array_equal(mine.volume.dense(), found.volume.dense())
+    assert len(mine.layers["carved"].voxels) and "Carved by Shadows" in bpy.data.objects
+    assert bpy.ops.scanstage.show_pictures() == {'FINISHED'}
+    assert {path.stem for path in picture_files(result)} <= set(bpy.data.images.keys())
+    settings.method = "visual-hull"
+    assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    with pytest.raises(RuntimeError, match="makes no pictures"):
+        bpy.ops.scanstage.show_pictures()
+    assert "shadows" not in read_result(result).report and "Carved by Shadows" not in bpy.data.objects
 
 
 def test_options_of_the_panel_reach_the_method(captured, tmp_path):
@@ -135,7 +209,7 @@ def test_the_threshold_of_probabilities_is_live_and_can_be_undone(captured):
 
 @pytest.mark.parametrize("operator, reason", [
     ("capture", "Build a stage first"), ("remove_stage", "Build a stage first"), ("reconstruct", "Capture or import pictures first"),
-    ("show_masks", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"),
+    ("show_masks", "Capture or import pictures first"), ("show_shadows", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"), ("show_pictures", "Reconstruct first"),
     ("export_mesh", "Reconstruct first")])
 def test_a_button_that_cannot_work_yet_says_why(scene, operator, reason):
     with pytest.raises(RuntimeError, match=reason):
@@ -175,7 +249,7 @@ def test_photographs_are_imported(scene, tmp_path, monkeypatch):
 
 def test_every_option_of_every_table_is_a_property(scene):
     settings = scene.scanstage
-    tables = [(settings.silhouettes, SILHOUETTE_OPTIONS)]
+    tables = [(settings.silhouettes, SILHOUETTE_OPTIONS), (settings.shadows, SHADOW_OPTIONS)]
     tables += [(getattr(settings, f"method_{name.replace('-', '_')}"), method.options) for name, method in METHODS.items()]
     tables += [(getattr(settings, f"preset_{name.replace('-', '_')}"), preset.options) for name, preset in PRESETS.items()]
     for group, options in tables:
