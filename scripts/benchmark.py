@@ -6,6 +6,7 @@
     python3 scripts/benchmark.py mesh         voxels to a mesh: scikit-image's marching cubes
     python3 scripts/benchmark.py decode       Gray code: OpenCV's structured_light module
     python3 scripts/benchmark.py coloring     voxel coloring at the size of the paper of 1997: a compiled projection and gather
+    python3 scripts/benchmark.py shadows      shadow carving: the hull alone, and its growth with views and lights
     python3 scripts/benchmark.py              all of them
 
 Medians of several runs after a warm-up. Only the ratios mean anything on another machine. It makes an environment of its
@@ -22,17 +23,19 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 VIEWS, SIZE = 24, (640, 480)
 BALLS = (((0.0, 0.0, -0.1), 0.55), ((0.45, 0.2, 0.3), 0.3), ((-0.4, -0.3, 0.35), 0.35))
+SHADOW_VOXELS, SHADOW_LIGHTS = 256, 4
 PAPER_VOXELS, PAPER_VIEWS = 197, 21  # 7.6 million voxels: Seitz and Dyer, 1997
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "decode", "coloring", "all"], default="all")
+    parser.add_argument("kernel", nargs="?", choices=["carve", "mesh", "decode", "coloring", "shadows", "all"], default="all")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--alone", metavar="N", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--dense", action="store_true", help=argparse.SUPPRESS)
@@ -50,6 +53,8 @@ def main():
         compare_decoding(call.runs)
     if call.kernel in ("coloring", "all"):
         compare_coloring(call.runs)
+    if call.kernel in ("shadows", "all"):
+        time_shadows(call.runs)
     return 0
 
 
@@ -289,6 +294,64 @@ def painted_scene():
         image = (0.5 + 0.2 * np.sin(points * (9, 11, 13)) + 0.2 * np.sin(points[..., ::-1] * (21, 17, 19))) * mask[..., None]
         views.append(View(f"{number:04d}", camera, mask, lambda image=image.astype(np.float32): image))
     return tuple(views)
+
+
+def time_shadows(runs):
+    """Print what carving by shadows takes after the hull of the same scan, and how that grows with views and lights."""
+    from addon.reconstruction.scan import Scan
+    from addon.reconstruction.volumetric.shadow_carving import shadow_carving
+    from addon.reconstruction.volumetric.visual_hull import visual_hull
+
+    views, grid, runs = shadowed_scene(), box(SHADOW_VOXELS), max(1, runs // 2)
+    print(f"Shadow carving, {SHADOW_VOXELS}^3, views of {SIZE[0]}x{SIZE[1]}, three balls; medians of {runs}\n")
+    print(f"{'':58} seconds    ratio   per view and light")
+    for count, lights in ((VIEWS, SHADOW_LIGHTS), (VIEWS // 2, SHADOW_LIGHTS), (VIEWS, SHADOW_LIGHTS // 2)):
+        scan = Scan(tuple(replace(view, lit=view.lit[:lights]) for view in views[::VIEWS // count]))
+        hull, _ = median_seconds(lambda scan=scan: visual_hull(scan, grid, rule="conservative"), runs)
+        print(f"{f'Scanstage, hull, {count} views':58} {hull:7.3f}")
+        for rounds, name in ((1, "first round"), (100, "all rounds")):
+            both, found = median_seconds(lambda scan=scan, rounds=rounds: shadow_carving(scan, grid, rounds=rounds), runs)
+            counts = found.report["counts"]
+            name = f"after it, {name} ({counts['rounds']}), {count} x {lights}: {counts['carved']:,} of {counts['hull']:,} voxels"
+            print(f"{name:58} {both - hull:7.3f} {(both - hull) / hull:7.1f} x {1000 * (both - hull) / count / lights:8.1f} ms")
+    print()
+
+
+def shadowed_scene():
+    """Return the views of `scene` with lights 30 degrees off the camera's axis, and the shadows of the balls on each other."""
+    import cv2
+    import numpy as np
+
+    from addon.reconstruction.geometry import Light
+    from addon.reconstruction.scan import LitPicture, View
+    from addon.reconstruction.shadows import ShadowMasks
+
+    rows, columns = np.mgrid[:SIZE[1], :SIZE[0]]
+    margin, views = np.ones((3, 3), np.uint8), []
+    for number, (camera, mask) in enumerate(zip(*scene(), strict=True)):
+        rays = camera.rays(np.stack((columns[mask], rows[mask]), -1))
+        points = camera.centre + rays * np.min([entry(camera.centre, rays, *ball) for ball in BALLS], axis=0)[:, None]
+        lit, bits = [], np.zeros(mask.shape, np.uint8)
+        for light in range(SHADOW_LIGHTS):
+            angle = 2 * np.pi * (light + 0.5) / SHADOW_LIGHTS
+            position = camera.centre + 4 * np.tan(np.pi / 6) * (np.cos(angle) * camera.R[0] + np.sin(angle) * camera.R[1])
+            shadow = np.zeros(mask.shape, np.uint8)
+            shadow[mask] = np.min([entry(position, points - position, *ball) for ball in BALLS], axis=0) < 1 - 1e-6
+            bits |= cv2.erode(shadow, margin) << np.uint8(light)
+            lit.append(LitPicture(f"{number:04d}-{light}", f"light-{light}", Light("point", position), lambda: None))
+        seen = cv2.dilate(mask.astype(np.uint8), margin) > 0
+        views.append(View(f"{number:04d}", camera, seen, lambda: None, tuple(lit), ShadowMasks(bits, seen)))
+    return tuple(views)
+
+
+def entry(origin, directions, centre, radius):
+    """Return where rays along (n, 3) directions enter a ball, in lengths of the direction; infinite where they miss it."""
+    import numpy as np
+
+    offset = np.array(centre) - origin
+    along, length = directions @ offset, (directions ** 2).sum(axis=-1)
+    inner = along ** 2 - length * (offset @ offset - radius ** 2)
+    return np.where(inner > 0, (along - np.sqrt(np.maximum(inner, 0))) / length, np.inf)
 
 
 def compare_meshing(runs):

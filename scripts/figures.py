@@ -18,6 +18,11 @@
     python3 scripts/figures.py textureless     an object of one colour: how far probabilities leave the prior
     python3 scripts/figures.py votes           space sweep: points among clutter, found and made up
     python3 scripts/figures.py probability     all three
+    python3 scripts/figures.py dents           shadow carving: the dented sphere at 24 views and 4 lights (minutes)
+    python3 scripts/figures.py lecture         4 to 72 views and 1 to 8 lights (minutes)
+    python3 scripts/figures.py pit             how far the pot's pit is opened from 25, 45 and 60 degrees (minutes)
+    python3 scripts/figures.py adversities     lost shadows, dark paint, a glaze, lights that are not where they are said to be
+    python3 scripts/figures.py shadows         all four
 
 Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
 SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
@@ -32,6 +37,7 @@ from pathlib import Path
 import color_figures
 import probability_figures
 import session
+import shadow_figures
 from session import told
 from tables import print_head, print_line
 from turntable_captures import rendered, thinned
@@ -49,8 +55,10 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs],
               "structured-light": [active], "calibration": [calibration]}
-    tables |= {name: [print_table] for name, print_table in {**color_figures.TABLES, **probability_figures.TABLES}.items()}
-    tables |= {"colour": list(color_figures.TABLES.values()), "probability": list(probability_figures.TABLES.values())}
+    tables |= {name: [print_table] for name, print_table in {**color_figures.TABLES, **probability_figures.TABLES,
+                                                              **shadow_figures.TABLES}.items()}
+    tables |= {"colour": list(color_figures.TABLES.values()), "probability": list(probability_figures.TABLES.values()),
+               "shadows": list(shadow_figures.TABLES.values())}
     parser.add_argument("table", nargs="?", choices=tables, default="both")
     call = parser.parse_args()
     return session.run(__file__, lambda bar: int(sum(print_table(bar) for print_table in tables[call.table]) > 0))

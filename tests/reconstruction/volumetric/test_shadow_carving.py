@@ -17,10 +17,10 @@ from addon.errors import ScanstageError
 from addon.reconstruction.geometry import Light, VoxelGrid, rotation_about
 from addon.reconstruction.scan import LitPicture, Scan, View
 from addon.reconstruction.shadows import ShadowMasks
-from addon.reconstruction.volumetric import light_image, shadow_carving
+from addon.reconstruction.volumetric import shadow_carving
 from addon.reconstruction.volumetric.shadow_carving import shadow_carving as carve
-from addon.reconstruction.volumetric.surface import extract_surface
 from addon.reconstruction.volumetric.volume import SparseVolume
+from tests.naive_shadows import naive
 from tests.rigs import Ball, Box, black_picture, camera_at, in_shadow, ring, silhouette
 
 GRID = VoxelGrid.from_bounds((-1, -1, -1), (1, 1, 1), 40)
@@ -70,32 +70,6 @@ def wholly_inside(grid, shapes):
         c = c[:, :-1] & c[:, 1:]
         whole |= c[:, :, :-1] & c[:, :, 1:]
     return whole
-
-
-def naive(scan, volume):
-    """Return which voxels the lecture's sentence takes, coded with two masks: in the camera's shadow, and in the virtual shadow."""
-    grid = volume.grid
-    surface = extract_surface(volume)
-    voxels = np.argwhere(volume.dense())
-    centres, gone = grid.centres(voxels), np.zeros(len(voxels), bool)
-    box = np.stack((grid.origin, grid.upper))
-    for view in scan.views:
-        seen = light_image.SeenSurface.of(surface, grid, view.camera)
-        column, row = np.clip(np.rint(view.camera.project(centres)[0]), 0, np.array(view.camera.size) - 1).astype(int).T
-        for number, picture in enumerate(view.lit):
-            shadow = view.shadows.of(number)
-            v, u = np.nonzero(shadow & (seen.items >= 0))
-            points = view.camera.centre + seen.depth[v, u][:, None] * view.camera.rays(np.column_stack((u, v)))
-            light = light_image.VirtualLight.of(picture.light.position, box, grid.voxel_size, "light").camera
-            virtual = np.zeros(light.size[::-1], np.uint8)
-            c, r = np.rint(light.project(points)[0]).astype(int).T
-            virtual[r, c] = 1
-            virtual = cv2.morphologyEx(virtual, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-            c, r = np.rint(light.project(centres)[0]).astype(int).T
-            gone |= shadow[row, column] & (virtual[r, c] > 0)
-    out = np.zeros(grid.shape, bool)
-    out[tuple(voxels[gone].T)] = True
-    return out
 
 
 # --- nothing of the object is ever removed ------------------------------------------------------------------------------------
