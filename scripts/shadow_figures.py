@@ -19,7 +19,7 @@ OBJECT, PIT = "dented-sphere", "pot"
 ELEVATION = "25"  # degrees
 MOST = {"strict": 0.65, "safe": 0.60}  # of the hull's excess, at 24 x 4
 MOST_OF_ALL = 0.40  # at 72 x 8
-VOXELS, LECTURE_VOXELS, PIT_VOXELS, SMALL_VOXELS = 256, 192, 192, 96
+VOXELS, LECTURE_VOXELS, PIT_VOXELS, SMALL_VOXELS = 256, 192, 128, 96
 LECTURE = ((4, 4), (8, 4), (16, 4), (24, 1), (24, 4), (24, 8), (72, 8))  # views, lights
 VIEWS, LIGHTS = 72, 8  # rendered once; fewer are taken out of them
 PIT_ELEVATIONS = ("25", "45", "60", "25,60")
@@ -142,22 +142,22 @@ def pit_rows(folder, progress, voxels=PIT_VOXELS):
 
 
 def pit_depths(truth, row):
-    """Return how deep the pot's pit is on its axis, how deep the hull is there, and the carved volume, in mm below the mouth."""
-    from addon.reconstruction.evaluation.voxelization import inside
+    """Return how deep the pot's pit is on its axis, how deep the hull is there, and the carved volume, in mm below the mouth.
 
-    mouth = truth.bounds()[1, 2]
-    return [1000 * max(0.0, mouth - top_of(volume)) for volume in (inside(truth, row.hull.grid), row.hull, row.volume)]
-
-
-def top_of(volume):
-    """Return how high the voxels on the vertical axis x = y = 0 reach."""
+    What floats above the pit, cut off from its floor, does not close it.
+    """
     import numpy as np
 
-    grid = volume.grid
-    column = np.floor(-grid.origin[:2] / grid.voxel_size).astype(int)
+    from addon.reconstruction.evaluation.voxelization import inside
+
+    grid, depths = row.hull.grid, []
     heights = np.arange(grid.shape[2])
-    occupied = volume.contains(np.column_stack((np.full(len(heights), column[0]), np.full(len(heights), column[1]), heights)))
-    return float(grid.origin[2] + grid.voxel_size * (heights[occupied].max() + 1))
+    axis = np.column_stack((*np.repeat(np.floor(-grid.origin[:2] / grid.voxel_size).astype(int)[:, None], len(heights), axis=1), heights))
+    floor = heights[inside(truth, grid).contains(axis)].max()
+    for volume in (inside(truth, grid), row.hull, row.volume):
+        top = floor + np.append(volume.contains(axis[floor:]), False).argmin()  # of the run that begins on the floor
+        depths.append(1000 * max(0.0, truth.bounds()[1, 2] - float(grid.origin[2] + grid.voxel_size * top)))
+    return depths
 
 
 def adversities(bar):

@@ -213,7 +213,7 @@ def test_a_table_is_markdown():
 
 
 def test_every_experiment_is_told_in_one_sentence():
-    assert {"hull-2d", "octree-count", "cost", "voxel-sizes", "accuracy", "concavities"} <= set(EXPERIMENTS)
+    assert {"hull-2d", "octree-count", "cost", "voxel-sizes", "accuracy", "concavities", "shadow-carving"} <= set(EXPERIMENTS)
     for name, experiment in EXPERIMENTS.items():
         assert experiment.name == name and experiment.description.endswith(".")
     assert set(stage.MEASURES) >= {"excess", "loss", "truth_voxels_removed"}
