@@ -121,7 +121,7 @@ def _refuse_unseen(board: Board, views: Sequence[BoardView], seeing: set[str]) -
             names = [shown.view.name for shown in views if shown.camera_id == id]
             raise ScanstageError(f"{frames_text(names)}: camera {id} shows the {board.kind} of {board.columns} x {board.rows} squares "
                                  "in none of them; check the board's kind and numbers (squares, one more than inner corners), and that it "
-                                 "is whole, sharp and well lit")
+                                 "is whole, sharp, well lit and a good part of the picture, which takes enough pixels")
 
 
 def _by_projector(view: View) -> dict[str, list[ProjectedPicture]]:
