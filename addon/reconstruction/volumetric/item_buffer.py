@@ -33,7 +33,7 @@ MARGIN = 2 * MAX_UNDISTORTION_ERROR
 NOTHING = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 
-def item_buffer(surface: Surface, grid: VoxelGrid, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def item_buffer(surface: Surface, grid: VoxelGrid, camera: Camera, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Render the number of the surface voxel that each pixel sees.
 
     Parameters
@@ -43,6 +43,8 @@ def item_buffer(surface: Surface, grid: VoxelGrid, camera: Camera) -> tuple[np.n
         The grid that the surface was extracted on.
     camera : Camera
         In the object frame. Faces that reach behind the camera's plane are left out.
+    near : (height, width) bool array, optional
+        Only faces whose first corner falls on one of these pixels are rendered.
 
     Returns
     -------
@@ -51,12 +53,12 @@ def item_buffer(surface: Surface, grid: VoxelGrid, camera: Camera) -> tuple[np.n
     depth : (height, width) float32 array
         Along the optical axis in the scene's unit, infinite where there is no item.
     """
-    faces, depth = face_buffer(surface, grid, camera)
+    faces, depth = face_buffer(surface, grid, camera, near)
     items = surface.face_voxel.take(faces, mode="clip") if len(surface.face_voxel) else faces
     return np.where(faces < 0, np.int32(-1), items), depth
 
 
-def face_buffer(surface: Surface, grid: VoxelGrid, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+def face_buffer(surface: Surface, grid: VoxelGrid, camera: Camera, near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Render the number of the face, a row of ``surface.quads``, that each pixel sees; as `item_buffer` else.
 
     Of faces at the same depth the one with the lowest number is seen.
@@ -64,7 +66,7 @@ def face_buffer(surface: Surface, grid: VoxelGrid, camera: Camera) -> tuple[np.n
     width, height = camera.size
     # Positive floats are ordered as their bits are: depth above, face below make one number to take the least of.
     nearest = np.full(height * width, NOTHING)
-    for pixel, depth, face in _hits(surface, grid, camera):
+    for pixel, depth, face in _hits(surface, grid, camera, near):
         key = depth.astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32) | face.astype(np.uint64)
         np.minimum.at(nearest, pixel, key)
     seen = nearest != NOTHING
@@ -188,18 +190,20 @@ def _undistorted(K: tuple, distortion: tuple, size: tuple[int, int]) -> tuple[np
     return ideal[:, 0].copy(), ideal[:, 1].copy()
 
 
-def _hits(surface: Surface, grid: VoxelGrid, camera: Camera) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _hits(surface: Surface, grid: VoxelGrid, camera: Camera,
+          near: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield where rays through pixel centres meet faces turned to the camera: flat pixel, depth, face; (n,) each."""
     if not len(surface.quads):
         return
     eye = (camera.centre - grid.origin) / grid.voxel_size
     rays = _Rays.of(camera)
     pixels = _projected(surface.vertices, camera)
+    wanted = np.ones(len(surface.quads), bool) if near is None else _on(near, pixels).take(surface.quads[:, 0])
     for way in range(6):
         axis, upper = divmod(way, 2)
-        plane = surface.voxels[:, axis] + upper
-        facing = plane < eye[axis] if upper else plane > eye[axis]
-        faces = np.flatnonzero((surface.face_axis == way) & facing.take(surface.face_voxel))
+        faces = np.flatnonzero((surface.face_axis == way) & wanted)
+        plane = surface.voxels[:, axis].take(surface.face_voxel.take(faces)) + upper
+        faces = faces[plane < eye[axis] if upper else plane > eye[axis]]
         for start in range(0, len(faces), FACES):
             face = faces[start:start + FACES]
             voxel = surface.face_voxel.take(face)
@@ -234,6 +238,17 @@ def _projected(vertices: np.ndarray, camera: Camera) -> np.ndarray:
         x, y = distort(np.stack((x, y), axis=-1), camera.distortion).T
     K = camera.K
     return np.stack((K[0, 0] * x + K[0, 1] * y + K[0, 2], K[1, 1] * y + K[1, 2]))
+
+
+def _on(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return (v,) bool: whether pixels (2, v) fall, rounded, on a mask."""
+    height, width = mask.shape
+    with np.errstate(invalid="ignore"):  # what NaN becomes is no matter: its faces have no boxes
+        column, row = np.floor(pixels + 0.5).astype(np.int32).view(np.uint32)  # what is negative becomes large
+    on = (column < width) & (row < height)
+    inside = np.flatnonzero(on)
+    on[inside] = mask.ravel().take(row.take(inside).astype(np.intp) * width + column.take(inside))
+    return on
 
 
 def _boxes(pixels: np.ndarray, quads: np.ndarray, camera: Camera) -> np.ndarray:

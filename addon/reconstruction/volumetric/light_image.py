@@ -45,6 +45,8 @@ PIXELS_PER_VOXEL = 1.5
 _LARGEST_SIDE = 4096  # pixels of a virtual light image
 _POINTS = 1 << 20  # worked on together
 _WIDEST = 4.0  # tangent of the widest angle off a virtual light image's axis
+_AHEAD = 8  # steps of a ray taken together
+_FIRST_ASKED = 5  # of the rays that may meet a voxel
 _FARTHEST = 1e4  # a sun stands so many diagonals of the volume away
 
 
@@ -73,19 +75,16 @@ class SeenSurface:
 
     @classmethod
     def about(cls, surface: Surface, grid: VoxelGrid, light: VirtualLight, entries: np.ndarray) -> SeenSurface:
-        """Let a light look at a surface where rays may meet the surface voxels ``entries`` (s,), and nowhere else.
+        """Let a light look at a surface where rays may meet voxels with their centres at ``entries`` (e, 3), and nowhere else.
 
         Elsewhere it sees nothing, at a depth of minus infinity: of those rays nothing is known to be free.
         """
-        camera, kernel = light.camera, np.ones((2 * light.radius + 1,) * 2, np.uint8)
-        pixels = np.rint(camera.project(grid.centres(surface.voxels))[0]).astype(np.intp)
-        flat = pixels[:, 1] * camera.size[0] + pixels[:, 0]
-        wanted = np.zeros(camera.size[::-1], np.uint8)
-        wanted.ravel()[flat[entries]] = 1
-        wanted = cv2.dilate(wanted, kernel)
-        near = cv2.dilate(wanted, kernel).ravel().take(flat).astype(bool)
-        seen = cls.of(surface.part(near.take(surface.face_voxel)), grid, camera)
-        return replace(seen, items=np.where(wanted, seen.items, -1), depth=np.where(wanted, seen.depth, np.float32(-np.inf)))
+        camera, wanted = light.camera, np.zeros(light.camera.size[::-1], np.uint8)
+        column, row = np.rint(camera.project(entries)[0]).astype(np.intp).T
+        wanted[row, column] = 1
+        wanted = _grown(wanted, light.radius)
+        items, depth = item_buffer(surface, grid, camera, _grown(wanted, 2 * light.radius).astype(bool))
+        return cls(camera, np.where(wanted, items, -1), np.where(wanted, depth, np.float32(-np.inf)))
 
 
 @dataclass(frozen=True)
@@ -147,6 +146,14 @@ class VirtualLight:
         radius = int(np.ceil(focal * spread / (corners[:, 2].min() - half_depth) + 0.5))
         return cls(camera, radius, voxel_size / 2, half_depth)
 
+    def at(self, centres: np.ndarray) -> VirtualLight:
+        """Return the light with its image cut to rays that meet voxels at ``centres`` (n, 3), and to what voxels such rays meet."""
+        pixels, margin = np.rint(self.camera.project(centres)[0]), 2 * self.radius + 1
+        first = np.maximum(pixels.min(axis=0) - margin, 0)
+        last = np.minimum(pixels.max(axis=0) + margin, np.array(self.camera.size) - 1)
+        K = self.camera.K - np.column_stack((np.zeros((3, 2)), (*first, 0)))
+        return replace(self, camera=replace(self.camera, K=K, size=tuple((last - first + 1).astype(int))))
+
 
 def distant(direction: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Return a (3,) position from which a sun's parallel rays all but come; ``direction`` is that in which it shines."""
@@ -163,7 +170,7 @@ def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, entrie
         The same surface seen by the camera and by the light.
     shadow : (height, width) bool array
         The camera's pixels that see the surface in the light's shadow, and surely do.
-    entries : (s,) bool array
+    entries : (e,) int array
         The surface voxels at which rays may enter; the others' rays are not followed.
     voxel_size : float
     strict : bool
@@ -174,7 +181,8 @@ def free_depth(view: SeenSurface, light: SeenSurface, shadow: np.ndarray, entrie
     (h, w) float32 array
         Per pixel of the virtual light image: at least the depth at which the volume begins.
     """
-    rays = np.flatnonzero((light.items >= 0) & entries.take(light.items, mode="clip"))
+    rays = np.flatnonzero(light.items >= 0)
+    rays = rays[np.isin(light.items.ravel().take(rays), entries, kind="table")]
     start, endless = light.depth.ravel().take(rays), np.full(len(rays), np.inf)
     out = _Paths(light.camera, rays, start, endless, view.camera, np.where(shadow, np.inf, -np.inf), voxel_size)
     free = light.depth.copy()
@@ -223,16 +231,17 @@ class _Paths:
                  voxel_size: float) -> None:
         # In the other camera's frame a ray's points are eye + own depth * way.
         eye, way = (other.R @ camera.centre + other.t)[:, None], other.R @ pixel_rays(camera, rays)
-        row, own, (x, y, z) = np.arange(len(rays)), start.astype(np.float64), eye + start * way
-        turn, steps = None, [(np.zeros(0, np.intp), np.zeros(0, np.float32), np.zeros(0, np.intp), np.zeros(0, np.float32))]
+        turn, row, own = _turn(other, eye, way), np.arange(len(rays)), start.astype(np.float64)
+        steps = [(np.zeros(0, np.intp), np.zeros(0, np.float32), np.zeros(0, np.intp), np.zeros(0, np.float32))]
         while len(row):
+            stride = _strides(other, eye[2] + own * way[2], way[2], turn, voxel_size)
+            depths = own[:, None] + stride[:, None] * np.arange(_AHEAD)
+            x, y, z = (eye[axis] + depths * way[axis][:, None] for axis in range(3))
             pixels, inside = _pixels_of(other, x, y, z)
-            here = np.flatnonzero(inside & (z <= limit.ravel().take(pixels)) & (own <= stop.take(row)))
-            row, own, way, z = row.take(here), own.take(here), way.take(here, axis=1), z.take(here)
-            steps.append((row, own.astype(np.float32), pixels.take(here), z.astype(np.float32)))
-            turn = _turn(other, eye, way) if turn is None else turn.take(here)
-            own = own + np.minimum(voxel_size / 2, _stride(other) * z ** 2 / np.maximum(turn - _stride(other) * z * way[2], 1e-30))
-            x, y, z = eye + own * way
+            on = np.logical_and.accumulate(inside & (z <= limit.ravel().take(pixels)) & (depths <= stop.take(row)[:, None]), axis=1)
+            steps.append((np.broadcast_to(row[:, None], on.shape)[on], depths[on].astype(np.float32), pixels[on], z[on].astype(np.float32)))
+            here = np.flatnonzero(on[:, -1])
+            row, way, turn, own = row.take(here), way.take(here, axis=1), turn.take(here), (own + _AHEAD * stride).take(here)
         owner, own, pixels, depth = (np.concatenate(part) for part in zip(*steps, strict=True))
         order = np.argsort(owner, kind="stable")
         self._first = np.flatnonzero(np.diff(owner[order], prepend=-1))  # steps lie ray by ray
@@ -271,8 +280,16 @@ class _Paths:
         return np.flatnonzero(self._end < before)
 
 
-def _stride(camera: Camera) -> float:
-    return 0.5 if camera.distorted else 0.95  # pixels; a lens may stretch the picture
+def _strides(camera: Camera, z: np.ndarray, ahead: np.ndarray, turn: np.ndarray, voxel_size: float) -> np.ndarray:
+    """Return how far rays at depths ``z`` (n,) of a camera may step, `_AHEAD` times, so that each step moves less than a pixel.
+
+    A step of length d moves the pixel by ``turn`` d / (z z'), see `_turn`; ``ahead`` (n,) is how much z grows with d.
+    """
+    # Never more than half of the way to the camera's plane, so that the least depth on these steps is above 0.
+    stride = np.minimum(voxel_size / 2, z / (2 * _AHEAD * np.maximum(-ahead, 1e-30)))
+    least = z + _AHEAD * stride * np.minimum(ahead, 0)
+    pixels = 0.5 if camera.distorted else 0.95  # a lens may stretch the picture
+    return np.minimum(stride, pixels * least ** 2 / np.maximum(turn, 1e-30))
 
 
 def _turn(camera: Camera, eye: np.ndarray, way: np.ndarray) -> np.ndarray:
@@ -286,12 +303,12 @@ def _turn(camera: Camera, eye: np.ndarray, way: np.ndarray) -> np.ndarray:
 
 
 def _pixels_of(camera: Camera, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the flat pixels (n,) of points in a camera's frame, and whether they lie before it and in its picture."""
+    """Return the flat pixels of points in a camera's frame, and whether they lie before it and in its picture."""
     ahead = z > 0
     inverse = 1.0 / np.where(ahead, z, 1.0)
     x, y = x * inverse, y * inverse
     if camera.distorted:
-        x, y = distort(np.stack((x, y), axis=-1), camera.distortion).T
+        x, y = np.moveaxis(distort(np.stack((x, y), axis=-1), camera.distortion), -1, 0)
     K, (width, height) = camera.K, camera.size
     column, row = np.rint(K[0, 0] * x + K[0, 1] * y + K[0, 2]), np.rint(K[1, 1] * y + K[1, 2])
     inside = ahead & (column >= 0) & (row >= 0) & (column < width) & (row < height)
@@ -324,7 +341,7 @@ def wholly_free(free: np.ndarray, light: VirtualLight, centres: np.ndarray) -> n
         The voxels'.
     """
     pixels, depth = light.camera.project(centres)
-    nearest = np.rint(pixels).astype(np.intp)
+    nearest = np.clip(np.rint(pixels), 0, np.array(light.camera.size) - 1).astype(np.intp)  # no ray at the image's edge is free
     # Most voxels are decided by the least and by the greatest depth about them; the others ask their rays one by one.
     kernel = np.ones((2 * light.radius + 1,) * 2, np.uint8)
     column, row = nearest.T
@@ -337,26 +354,37 @@ def wholly_free(free: np.ndarray, light: VirtualLight, centres: np.ndarray) -> n
 def _rays_are_free(free: np.ndarray, light: VirtualLight, centres: np.ndarray, nearest: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Return whether the rays that meet voxels, within the light's radius of their ``nearest`` pixels (n, 2), are free to behind them."""
     way = np.linalg.inv(light.camera.K @ light.camera.R)  # of a pixel (u, v, 1)
-    offset = (centres - light.camera.centre).T
-    half = light.half_edge + 0.5 * depth / light.camera.K[0, 0]
+    offsets = _nearest_first(light.radius)
     rows = np.arange(len(centres))
-    for dv, du in _nearest_first(light.radius):
-        column, row = nearest[rows, 0] + du, nearest[rows, 1] + dv
-        first, last = np.full(len(rows), -np.inf), np.full(len(rows), np.inf)
-        for axis in range(3):
-            along = way[axis, 0] * column + way[axis, 1] * row + way[axis, 2]
-            along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-            middle, spread = offset[axis, rows] / along, half[rows] / np.abs(along)
-            first, last = np.maximum(first, middle - spread), np.minimum(last, middle + spread)
-        inside = (column >= 0) & (row >= 0) & (column < free.shape[1]) & (row < free.shape[0])
-        reach = free[np.where(inside, row, 0), np.where(inside, column, 0)]
-        rows = rows[(first > last) | (reach > last) | ~inside]
+    for around in (offsets[:_FIRST_ASKED], offsets[_FIRST_ASKED:]):  # what fails soon is asked no more
+        parts = np.array_split(rows, 1 + len(rows) * len(around) // _POINTS)
+        rows = np.concatenate([part[_free_around(free, light, way, around, centres[part], nearest[part], depth[part])] for part in parts])
     whole = np.zeros(len(centres), bool)
     whole[rows] = True
     return whole
 
 
-def _nearest_first(radius: int) -> list[tuple[int, int]]:
-    """Return the offsets of a square of pixels about its middle, from there outward: what fails soon is asked no more."""
-    side = range(-radius, radius + 1)
-    return sorted(((dv, du) for dv in side for du in side), key=lambda at: at[0] ** 2 + at[1] ** 2)
+def _free_around(free: np.ndarray, light: VirtualLight, way: np.ndarray, around: np.ndarray, centres: np.ndarray, nearest: np.ndarray,
+                 depth: np.ndarray) -> np.ndarray:
+    """Return (n,) bool: whether those of the rays at the offsets ``around`` (m, 2) that meet a voxel are free to behind it."""
+    column, row = (nearest[:, None] + around).transpose(2, 0, 1)
+    half = (light.half_edge + 0.5 * depth / light.camera.K[0, 0])[:, None]
+    first, last = -np.inf, np.inf
+    for axis in range(3):
+        along = way[axis, 0] * column + way[axis, 1] * row + way[axis, 2]
+        along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+        middle, spread = (centres[:, axis] - light.camera.centre[axis])[:, None] / along, half / np.abs(along)
+        first, last = np.maximum(first, middle - spread), np.minimum(last, middle + spread)
+    inside = (column >= 0) & (row >= 0) & (column < free.shape[1]) & (row < free.shape[0])
+    reach = free[np.where(inside, row, 0), np.where(inside, column, 0)]
+    return ((first > last) | (reach > last) | ~inside).all(axis=1)
+
+
+def _grown(mask: np.ndarray, margin: int) -> np.ndarray:
+    return cv2.dilate(mask, np.ones((2 * margin + 1,) * 2, np.uint8))
+
+
+def _nearest_first(radius: int) -> np.ndarray:
+    """Return the offsets (m, 2) of a square of pixels about its middle, from there outward."""
+    offsets = np.indices((2 * radius + 1,) * 2).reshape(2, -1).T - radius
+    return offsets[np.argsort((offsets ** 2).sum(axis=1), kind="stable")]

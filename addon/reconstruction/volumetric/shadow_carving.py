@@ -25,9 +25,9 @@ from ...errors import ScanstageError
 from ...options import Option, Value
 from ...progress import Progress, part_of, silent
 from ..arrays import sorted_unique
-from ..geometry import Light, VoxelGrid
+from ..geometry import Camera, Light, VoxelGrid
 from ..outcome import Outcome, VoxelLayer
-from ..scan import Scan, View
+from ..scan import LitPicture, Scan, View
 from . import visual_hull as hull
 from .light_image import SeenSurface, VirtualLight, distant, free_depth, freed_points, wholly_free
 from .surface import Surface, extract_surface
@@ -158,7 +158,9 @@ class Sight:
     volume : SparseVolume
     surface : Surface
         Of the volume.
-    entries : (s,) bool array
+    centres : (s, 3) array
+        Of the surface voxels.
+    entries : (e,) int array
         The surface voxels at which rays of light are looked at: all at first, later those that the last round has exposed.
     box : (2, 3) array
         Round the volume, in the object frame.
@@ -167,6 +169,7 @@ class Sight:
 
     volume: SparseVolume
     surface: Surface
+    centres: np.ndarray
     entries: np.ndarray
     box: np.ndarray
     strict: bool
@@ -177,10 +180,11 @@ class Sight:
         grid, (lower, upper) = volume.grid, volume.bounds()
         box = np.stack((grid.origin + grid.voxel_size * lower, grid.origin + grid.voxel_size * (upper + 1)))
         surface = extract_surface(volume)
-        entries = np.ones(len(surface.voxels), bool)
+        entries = np.arange(len(surface.voxels))
         if removed is not None:
-            entries = np.isin(_flat(surface.voxels, grid), np.concatenate([_flat(removed + step, grid) for step in _BESIDE]))
-        return cls(volume, surface, entries, box, strict)
+            beside = np.concatenate([_flat(removed + step, grid) for step in _BESIDE])
+            entries = np.flatnonzero(np.isin(_flat(surface.voxels, grid), beside))
+        return cls(volume, surface, grid.centres(surface.voxels), entries, box, strict)
 
     def removals(self, views: Sequence[View], progress: Progress) -> Iterator[tuple[int, str, np.ndarray]]:
         """Yield the number of a view, a light's id and the (n, 3) voxels that no earlier ones removed."""
@@ -197,28 +201,34 @@ class Sight:
         if not view.lit:
             return
         grid, step = self.volume.grid, self._coarseness(view)
-        seen, shadows = SeenSurface.of(self.surface, grid, view.camera.scaled(1 / step)), view.shadows.reduced(step)
-        pixels, near = self._in_front(seen)
+        camera, shadows = view.camera.scaled(1 / step), view.shadows.reduced(step)
+        entries, pixels, depth = self._entries_in(camera)
+        if not _grown(shadows.bits != 0).take(pixels).any():
+            return  # before the surface is rendered: in later rounds most views end here
+        seen = SeenSurface.of(self.surface, grid, camera)
+        # A light may meet a step of the voxels' stairs that the camera does not see.
+        farthest = cv2.dilate(np.where(np.isfinite(seen.depth), seen.depth, 0), _AROUND).ravel().take(pixels)
+        near = depth <= farthest + _STEPS * grid.voxel_size
         for number, picture in enumerate(view.lit):
             shadow = shadows.of(number) & (seen.items >= 0)
-            entries = self.entries & near & cv2.dilate(shadow.astype(np.uint8), _AROUND).ravel().take(pixels).astype(bool)
-            if entries.any():
-                light = VirtualLight.of(_position(picture.light, self.box), self.box, grid.voxel_size, picture.light_id)
-                lit = SeenSurface.about(self.surface, grid, light, entries)
-                yield picture.light_id, light, lit, free_depth(seen, lit, shadow, entries, grid.voxel_size, strict=self.strict)
+            here = entries[near & _grown(shadow).take(pixels)]
+            if len(here):
+                centres = self.centres.take(here, axis=0)
+                light = self.virtual(picture).at(centres)
+                lit = SeenSurface.about(self.surface, grid, light, centres)
+                yield picture.light_id, light, lit, free_depth(seen, lit, shadow, here, grid.voxel_size, strict=self.strict)
 
-    def _in_front(self, seen: SeenSurface) -> tuple[np.ndarray, np.ndarray]:
-        """Return the flat pixel of each surface voxel, and whether it lies there at most `_STEPS` voxels behind what is seen.
+    def virtual(self, picture: LitPicture) -> VirtualLight:
+        """Return the light of a picture as it looks at all of the volume."""
+        return VirtualLight.of(_position(picture.light, self.box), self.box, self.volume.grid.voxel_size, picture.light_id)
 
-        A light may meet a step of the voxels' stairs that the camera does not see.
-        """
-        grid, (width, height) = self.volume.grid, seen.camera.size
-        pixels, depth = seen.camera.project(grid.centres(self.surface.voxels))
+    def _entries_in(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the entries that lie in a camera's picture, rows of the surface's voxels, their flat pixels and their depths."""
+        width, height = camera.size
+        pixels, depth = camera.project(self.centres.take(self.entries, axis=0))
         column, row = np.rint(np.nan_to_num(pixels, nan=-1.0)).T
-        inside = (depth > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        flat = np.where(inside, row * width + column, 0).astype(np.intp)
-        farthest = np.where(np.isfinite(seen.depth), seen.depth, 0)
-        return flat, inside & (depth <= cv2.dilate(farthest, _AROUND).ravel().take(flat) + _STEPS * grid.voxel_size)
+        inside = np.flatnonzero((depth > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))
+        return self.entries[inside], (row * width + column)[inside].astype(np.intp), depth[inside]
 
     def _coarseness(self, view: View) -> int:
         """Return how many pixels of a view's picture, along a side, are taken as one that keeps about `_PIXELS_PER_VOXEL`."""
@@ -230,8 +240,19 @@ class Sight:
     def pictures(self, views: Sequence[View]) -> dict[str, np.ndarray]:
         """Return the virtual light images of the first view with lights, to be looked at."""
         view = next(view for view in views if view.lit)
-        return {f"light-image-{light_id}": _picture(SeenSurface.of(self.surface, self.volume.grid, light.camera).depth, lit.depth, free)
-                for light_id, light, lit, free in islice(self.free_depths(view), _MOST_PICTURES)}
+        lights = {picture.light_id: self.virtual(picture).camera for picture in view.lit}
+        found = {}
+        for light_id, light, lit, free in islice(self.free_depths(view), _MOST_PICTURES):
+            seen = SeenSurface.of(self.surface, self.volume.grid, lights[light_id])
+            freed, (column, row) = np.zeros(seen.depth.shape, bool), np.rint((lights[light_id].K - light.camera.K)[:2, 2]).astype(int)
+            freed[row:, column:][:free.shape[0], :free.shape[1]] = free > lit.depth
+            found[f"light-image-{light_id}"] = _picture(seen.depth, freed)
+        return found
+
+
+def _grown(mask: np.ndarray) -> np.ndarray:
+    """Return the flat bool mask grown by two pixels."""
+    return cv2.dilate(mask.astype(np.uint8), _AROUND).ravel().astype(bool)
 
 
 def _flat(voxels: np.ndarray, grid: VoxelGrid) -> np.ndarray:
@@ -266,11 +287,11 @@ def _layer(removals: Sequence[tuple[int, str, np.ndarray]], number: int, lights:
                                "round": np.full(len(voxels), number, np.uint16)})
 
 
-def _picture(depth: np.ndarray, entry: np.ndarray, free: np.ndarray) -> np.ndarray:
+def _picture(depth: np.ndarray, freed: np.ndarray) -> np.ndarray:
     """Return a virtual light image to be looked at: near is bright, and orange where the shadow shows rays to be free."""
     seen = np.isfinite(depth)
     near, far = (float(depth[seen].min()), float(depth[seen].max())) if seen.any() else (0.0, 1.0)
     grey = np.where(seen, 230 - 170 * (np.where(seen, depth, near) - near) / max(far - near, 1e-12), 20)
     picture = np.repeat(grey[..., None], 3, axis=2)
-    picture[seen & (free > entry)] *= (1.0, 0.55, 0.15)
+    picture[seen & freed] *= (1.0, 0.55, 0.15)
     return picture.astype(np.uint8)

@@ -13,7 +13,7 @@ surface, never the volume.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -53,10 +53,6 @@ class Surface:
     voxels: np.ndarray
     face_voxel: np.ndarray
     face_axis: np.ndarray
-
-    def part(self, faces: np.ndarray) -> Surface:
-        """Return the surface with only the faces of which ``faces`` (q,) is True; vertices and voxels keep their numbers."""
-        return replace(self, quads=self.quads[faces], face_voxel=self.face_voxel[faces], face_axis=self.face_axis[faces])
 
     def triangles(self) -> np.ndarray:
         """Return the (2q, 3) int32 triangles: faces cut along their first diagonal, two after each other."""
