@@ -19,7 +19,7 @@ from ..errors import ScanstageError
 from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
-from .active import laser_stripe, structured_light
+from .active import color_stripes, laser_stripe, speckle, stereo, structured_light
 from .active.measurement import measured_bounds, points_to_voxels
 from .geometry import VoxelGrid
 from .mesh import TriangleMesh
@@ -110,6 +110,12 @@ METHODS = {method.name: method for method in (
            ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_phase_shift),
     Method("laser-stripe", "Laser Stripe", "Points where the camera sees a stripe, or a point, of light that sweeps over the object",
            ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, measure=laser_stripe.measure_laser_stripe),
+    Method("stereo", "Stereo", "Points whose texture two neighbouring views show alike, without a projector",
+           ("silhouettes", "colour"), stereo.OPTIONS, points_to_voxels, measured_bounds, measure=stereo.measure_stereo),
+    Method("speckle", "Speckle", "Depth maps from one picture of a projector's pseudo-random dots each, as a depth sensor takes them",
+           ("patterns",), speckle.OPTIONS, points_to_voxels, measured_bounds, measure=speckle.measure_speckle),
+    Method("color-stripes", "Color Stripes", "Points from one picture of coloured stripes, or finer ones from several in which they move",
+           ("patterns",), color_stripes.OPTIONS, points_to_voxels, measured_bounds, measure=color_stripes.measure_color_stripes),
 )}
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -22,12 +22,15 @@ from .objects import Subject, add_object
 from .timeline import keyframe_steps, switch_light
 
 _STEEPEST = math.radians(85)
+_MIXED_SAMPLES = 64
 VIEWS = Option("views", 6, "How many poses of the table, evenly round the circle; all patterns are shown at each", minimum=1, maximum=3600)
 ELEVATION = Option("elevation", math.radians(15), "How high above the table's plane the devices stand", unit=Unit.ANGLE,
                    minimum=-_STEEPEST, maximum=_STEEPEST)
 ANGLE = Option("angle", math.radians(20), "Between the directions from the object to camera and light source, about the table's axis: more "
                "is more precise in depth, and more of the object is in one's sight and out of the other's",
                unit=Unit.ANGLE, minimum=math.radians(1), maximum=math.radians(120))
+AMBIENT = Option("ambient", 0.0, "Other light on the object while patterns are shown, as a share of the headlight: above 0 takes at least "
+                 f"{_MIXED_SAMPLES} samples a pixel", minimum=0.0, maximum=10.0)
 BOUNCES = Option("bounces", 0, "How often light may go from surface to surface: above 0 concave parts light themselves, which needs "
                  "many samples", minimum=0, maximum=16)
 COMMON = (ELEVATION, ANGLE, *rig.CAMERA_OPTIONS, rig.SAMPLES, BOUNCES, rig.FIT)
@@ -86,8 +89,8 @@ def build_bench(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Su
     return Bench(turntable, camera, headlight, points, distance)
 
 
-def plan_bench(bench: Bench, views: int, patterns: int) -> list[int | None]:
-    """Plan, at each pose of the table, one frame under the headlight and then ``patterns`` frames without it.
+def plan_bench(bench: Bench, views: int, patterns: int, *, ambient: float = 0.0) -> list[int | None]:
+    """Plan, at each pose of the table, one frame under the headlight and then ``patterns`` frames under a share of it.
 
     Returns
     -------
@@ -96,7 +99,7 @@ def plan_bench(bench: Bench, views: int, patterns: int) -> list[int | None]:
     """
     pose, number = np.divmod(np.arange(views * (1 + patterns)), 1 + patterns)
     keyframe_steps(bench.turntable, "rotation_euler", (2 * math.pi * pose / views).tolist(), index=2)
-    switch_light(bench.headlight.data, (number == 0).astype(float).tolist())
+    switch_light(bench.headlight.data, np.where(number == 0, 1.0, ambient).tolist())
     return [i - 1 if i else None for i in number.tolist()]
 
 
@@ -123,14 +126,17 @@ def add_fitting_projector(stage: bpy.types.Collection, points: np.ndarray, targe
     return made
 
 
-def projector_rig_options(pattern_set: str) -> tuple[Option, ...]:
-    """Return the options of a rig whose projector shows a set of `PATTERN_SETS`."""
-    return (VIEWS, *PATTERN_SETS[pattern_set].options, *PROJECTOR_OPTIONS, *COMMON)
+def projector_rig_options(pattern_set: str, **defaults: Value) -> tuple[Option, ...]:
+    """Return the options of a rig whose projector shows a set of `PATTERN_SETS`, some of them with defaults of their own."""
+    options = (VIEWS, *PATTERN_SETS[pattern_set].options, *PROJECTOR_OPTIONS, *COMMON)
+    return tuple(replace(option, default=defaults.get(option.name, option.default)) for option in options)
 
 
 def build_projector_rig(scene: bpy.types.Scene, stage: bpy.types.Collection, subject: Subject, options: Mapping[str, Value],
                         pattern_set: str) -> None:
-    """Build a rig whose projector shows all patterns of a set at each pose; ``options`` are those of `projector_rig_options`.
+    """Build a rig whose projector shows all patterns of a set at each pose.
+
+    ``options`` are those of `projector_rig_options`, and perhaps `AMBIENT`.
 
     Raises
     ------
@@ -139,6 +145,9 @@ def build_projector_rig(scene: bpy.types.Scene, stage: bpy.types.Collection, sub
     """
     code = {option.name: options[option.name] for option in PATTERN_SETS[pattern_set].options}
     patterns = make_patterns(pattern_set, (options["projector_x"], options["projector_y"]), code)
+    ambient = options.get("ambient", 0.0)
+    if ambient > 0:  # of two lights the renderer draws one at random for each sample
+        options = {**options, "samples": max(options["samples"], _MIXED_SAMPLES)}
     bench = build_bench(scene, stage, subject, options, frames=options["views"] * (1 + len(patterns)))
     made = add_fitting_projector(stage, bench.points, bench.target, options)
-    projection.show_patterns(made.data, patterns, plan_bench(bench, options["views"], len(patterns)))
+    projection.show_patterns(made.data, patterns, plan_bench(bench, options["views"], len(patterns), ambient=ambient))

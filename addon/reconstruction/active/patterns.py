@@ -15,6 +15,8 @@ taken under it. Decoders read the fields alone: they do not care who showed the 
 | ``point`` | ``column``, ``row``, ``width`` |
 | ``point-grid`` | ``spacing``, ``width`` |
 | ``checker`` | ``cell``, ``step``, ``steps`` |
+| ``color-stripes`` | ``axis``, ``width`` of a stripe in pixels, ``shift`` of all in pixels |
+| ``speckle`` | ``dot``, the side of a dot in pixels, ``density``, ``seed`` |
 
 ``axis`` is what the code counts: ``column`` or ``row``. ``projector`` may name the projector's id, which a capture set with
 several needs.
@@ -29,29 +31,12 @@ import numpy as np
 
 from ...errors import ScanstageError
 from ...options import Option, Unit, Value, resolve
+from .color_stripe_code import color_stripes
+from .pattern import AXES, Pattern
+from .speckle_code import speckle
 
-AXES = ("column", "row")
 LARGEST_SIDE = 1 << 16  # codes are 16-bit numbers
 _GUARD = 1.125  # the coarsest sinusoid is so much longer than the projector's side that noise does not wrap the first column
-
-
-@dataclass(frozen=True)
-class Pattern:
-    """One image for a projector.
-
-    Parameters
-    ----------
-    id : str
-        Unique in its set; letters, digits, ``-`` and ``.``.
-    fields : mapping
-        What it is, in JSON values: see above.
-    image : (height, width) uint8 or float32 array
-        Linear light; 255, or 1.0, is the projector's full power. Read-only where it repeats one row or column.
-    """
-
-    id: str
-    fields: Mapping[str, object]
-    image: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -316,4 +301,17 @@ PATTERN_SETS = {entry.name: entry for entry in (
         Option("cell", 8, "Side of a square", unit=Unit.PIXELS, minimum=1, maximum=1024),
         Option("shifts", 5, "Shifts along each axis", minimum=2, maximum=16),
     ), checker),
+    PatternSet("color-stripes", "Color Stripes", "Coloured stripes, any three neighbouring borders of which are unique", (
+        Option("width", 8, "Width of a stripe: what the camera sees less than three pixels of cannot be told", unit=Unit.PIXELS,
+               minimum=2, maximum=1024),
+        Option("shifts", 1, "Pictures, each with the stripes one pixel farther: 1 is one shot, 7 measures in space and time",
+               minimum=1, maximum=64),
+        Option("dark", True, "One more picture without light from the projector, so that other light can be taken off"),
+    ), color_stripes),
+    PatternSet("speckle", "Speckle", "Pseudo-random dots, as a depth sensor projects them", (
+        Option("dot", 3, "Side of a dot: the camera should see one and a half to three pixels of it", unit=Unit.PIXELS,
+               minimum=1, maximum=64),
+        Option("density", 0.3, "Share of the places that are lit", minimum=0.05, maximum=0.95),
+        Option("seed", 1, "Another number is another pattern", minimum=0, maximum=1_000_000),
+    ), speckle),
 )}
