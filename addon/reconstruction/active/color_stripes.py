@@ -34,8 +34,8 @@ from .triangulation import meet_lines, pixel_width, rays_through
 OPTIONS = (
     Option("passes", 4, "How often what is left is matched again: more than once finds thin things that change the stripes' order",
            minimum=1, maximum=16),
-    Option("run", 3, "Least number of neighbouring borders that must be matched as neighbours for one of them to be believed", minimum=1,
-           maximum=16),
+    Option("run", 5, "Least number of neighbouring borders that must be matched as neighbours for one of them to be believed; one more in "
+           "later passes", minimum=1, maximum=16),
     Option("crosstalk", 0.0, "Share of each channel's light that leaks into each of the two others", minimum=0.0, maximum=0.3),
     Option("contrast", 0.02, "Least light from the projector, as a share of white, by which a channel is used", minimum=0.0, maximum=1.0),
     Option("space_time", True, "Where the stripes move from picture to picture, take the moment at which a border passes a pixel"),
@@ -43,7 +43,7 @@ OPTIONS = (
 )
 _BORDER_SIGMA = 0.3  # projector pixels: of a border's place in one picture
 _TIME_SIGMA = 0.15  # and of the moment at which it passes
-_LEVEL = 0.05  # of a channel's range: nearer to a level a value is at it
+_LEVEL = 0.2  # of a channel's range: nearer to a level a value is at it
 _STEADY = 0.35  # of a channel's range: what a pixel must change by when a border passes
 
 
@@ -68,7 +68,7 @@ class Shot:
     shift: float
 
 
-def measure_color_stripes(scan: Scan, *, passes: int = 4, run: int = 3, crosstalk: float = 0.0, contrast: float = 0.02,
+def measure_color_stripes(scan: Scan, *, passes: int = 4, run: int = 5, crosstalk: float = 0.0, contrast: float = 0.02,
                           space_time: bool = True, fill: str = "shell", progress: Progress = silent) -> Measurement:
     """Measure the points of every view under coloured stripes.
 
@@ -181,19 +181,22 @@ def _moments(values: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
     It is the area under what is still to come, which is right for every blur that is alike before and after, as that between
     a projector's pixels. ``step`` (n,) is the last picture before the middle is passed; the two pictures on either side of
-    it count. At the ends of the series the level beyond is known only if the change is seen to be over, or to begin.
+    it count. At the ends of the series the level beyond is known if it is that without light, or if the change is seen to begin there.
     """
-    least, most = values.min(axis=0), values.max(axis=0)
+    last = len(values) - 2
+    rising = values[-1] > values[0]
+    # At the ends the change may have begun before, or end after; the level without light is known, which is 0.
+    open_ended = np.where(rising, step == 0, step == last)
+    least, most = np.where(open_ended, 0, values.min(axis=0)), values.max(axis=0)
     share = (values - least) / np.maximum(most - least, 1e-12)
-    share = np.where(values[-1] > values[0], share, 1 - share)
+    share = np.where(rising, share, 1 - share)
     area = step - 1.5
     for beside in (-1, 0, 1, 2):
         picture = step + beside
         known = np.take_along_axis(share, np.clip(picture, 0, len(values) - 1)[None], axis=0)[0]
         area = area + 1 - np.where(picture < 0, 0, np.where(picture >= len(values), 1, known))
-    second, last = share[1], share[-2]
-    sure = np.where(step == 0, second < 1 - _LEVEL, np.where(step == len(values) - 2, last > _LEVEL, True))
-    return area, sure
+    begun = np.where(step == 0, share[1] < 1 - _LEVEL, np.where(step == last, share[last] > _LEVEL, True))
+    return area, open_ended | begun
 
 
 def _unmixed(image: np.ndarray, crosstalk: float) -> np.ndarray:

@@ -12,11 +12,15 @@ taken under it. Decoders read the fields alone: they do not care who showed the 
 | ``phase-shift`` | ``axis``, ``period`` in pixels, ``step``, ``steps`` |
 | ``stripe`` | ``axis``, ``position`` of its middle and ``width`` (four standard deviations) in pixels |
 | ``laser`` | ``plane``, ``[nx, ny, nz, d]`` with ``n . X = d`` in the world, and ``width`` in its unit: a stripe of no projector |
+| ``stick-shadow`` | ``sweep``, ``index``, ``plane`` (the desk) and perhaps ``wall``, ``strips``: see below |
 | ``point`` | ``column``, ``row``, ``width`` |
 | ``point-grid`` | ``spacing``, ``width`` |
 | ``checker`` | ``cell``, ``step``, ``steps`` |
 | ``color-stripes`` | ``axis``, ``width`` of a stripe in pixels, ``shift`` of all in pixels |
 | ``speckle`` | ``dot``, the side of a dot in pixels, ``density``, ``seed`` |
+
+A stick's shadow is frame ``index`` of a ``sweep``; its planes are as a laser's, and its ``strips`` are
+``[first row, last row, "plane" or "wall"]``, rows of the picture in which the camera sees nothing but that plane.
 
 ``axis`` is what the code counts: ``column`` or ``row``. ``projector`` may name the projector's id, which a capture set with
 several needs.

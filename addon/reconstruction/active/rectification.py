@@ -16,6 +16,7 @@ import numpy as np
 
 from ...errors import ScanstageError
 from ..geometry import Camera
+from .correspondence import Reason
 from .triangulation import rays_through
 
 LARGEST_SIDE = 8192  # pixels of a rectified picture
@@ -57,10 +58,34 @@ class RectifiedPair:
         """Return the expected error of depths for one of ``sigma`` pixels in the disparity (Khoshelham & Elberink, 2012, eq. 9)."""
         return depths ** 2 * sigma / (self.first.K[0, 0] * self.baseline)
 
-    def points(self, rows: np.ndarray, columns: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-        """Return the (n, 3) points of the object frame at pixels of the first picture."""
-        rays = self.first.rays(np.stack((columns, rows), axis=-1).astype(np.float64))  # of unit depth
-        return self.first.centre + self.depths(disparity)[:, None] * rays
+    def points_seen(self, camera: Camera, disparity: np.ndarray, reason: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the pixels of the real camera, the first one, see by the disparity nearest to each.
+
+        Parameters
+        ----------
+        camera : Camera
+        disparity : (h, w) array
+            Of the rectified picture.
+        reason : (h, w) uint8 array
+            0 where there is one, otherwise a `correspondence.Reason`.
+
+        Returns
+        -------
+        points : (n, 3) array
+            In the object frame, on the pixels' own rays, in the order of ``np.nonzero(reason == 0)``.
+        reason : (height, width) uint8 array
+            Of the real picture.
+        """
+        width, height = camera.size
+        rows, columns = np.mgrid[:height, :width]
+        place, depth = self.first.project(self.first.centre + rays_through(camera, np.stack((columns, rows), axis=-1)))
+        u, v = np.rint(np.nan_to_num(place, nan=-1.0)).astype(np.int64).transpose(2, 0, 1)
+        inside = (depth > 0) & (u >= 0) & (v >= 0) & (u < disparity.shape[1]) & (v < disparity.shape[0])
+        seen = np.full((height, width), Reason.UNLIT, np.uint8)
+        seen[inside] = reason[v[inside], u[inside]]
+        good = seen == Reason.VALID
+        points = self.first.centre + self.depths(disparity[v[good], u[good]])[:, None] * self.first.rays(place[good])
+        return points, seen
 
 
 def rectify(first: Camera, second: Camera, box: np.ndarray, where: str) -> RectifiedPair:
@@ -106,9 +131,10 @@ def rectify(first: Camera, second: Camera, box: np.ndarray, where: str) -> Recti
         raise ScanstageError(f"{where}: rectified, its pictures would have {max(sides)} pixels a side, more than {LARGEST_SIDE}; check "
                              "the poses, or give tighter bounds")
     least = focal * baseline / far
-    first_c = -columns[0][0]
-    cameras = [Camera([[focal, 0, c], [0, focal, -rows[0]], [0, 0, 1]], R, -R @ device.centre, (width, sides[0]))
-               for device, c, width in ((first, first_c, sides[1]), (second, first_c + least, sides[1]))]
+    # Whole pixels from the real picture's axis: where that is rectified already, nothing is interpolated.
+    column, row = (float(first.K[axis, 2] - np.floor(first.K[axis, 2] + low)) for axis, low in enumerate((columns[0][0], rows[0])))
+    cameras = [Camera([[focal, 0, c], [0, focal, row], [0, 0, 1]], R, -R @ device.centre, (sides[1] + 1, sides[0] + 1))
+               for device, c in ((first, column), (second, column + least))]
     return RectifiedPair(*cameras, baseline, max(1, int(np.ceil(focal * baseline / near - least))))
 
 

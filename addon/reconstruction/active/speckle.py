@@ -4,7 +4,8 @@
 
 As in Kinect, windows of the picture are matched with a memorised picture of the dots on a reference plane. Here that picture
 is computed from the calibration, by which it has the projector's own optics: rectified, what the camera would see of a plane
-at depth ``Z0`` is the pattern itself, moved by ``f b / Z0``. A window that matches it at a shift of d more pixels lies at
+at depth ``Z0``, the farthest of the working volume, is the pattern itself, moved by ``f b / Z0``. A window that matches it at a shift of
+d more pixels lies at
 ``1 / Z = 1 / Z0 + d / (f b)`` (Khoshelham & Elberink, 2012, eq. 5). Shifts are rounded to an eighth of a pixel, as the
 sensor's are, so that depths come in steps and their error grows with the square of the depth.
 """
@@ -23,11 +24,10 @@ from ..geometry import Camera
 from ..scan import ProjectedPicture, Scan, View
 from .correspondence import Reason
 from .measurement import Measurement, measurement_of
-from .rectification import RectifiedPair, box_between, onto_pixels, rectified_picture, rectify
+from .rectification import RectifiedPair, box_between, rectified_picture, rectify
 from .sequences import number_of, of_kind, only, read_grey
 from .speckle_code import speckle_image
 from .structured_light import FILL, projections
-from .triangulation import rays_through
 
 OPTIONS = (
     Option("window", 9, "Side of the window that is matched: more is less noisy, and fattens edges by half of it", unit=Unit.PIXELS,
@@ -44,6 +44,9 @@ SIGMA = 0.5 / STEPS
 """Pixels: the expected error of a shift (Khoshelham & Elberink, 2012)."""
 _MOST_DISPARITIES = 2048
 _DROWNED = 0.25  # contrast of the dots against their mean: full contrast is above 1
+_SAMPLES = 4  # along each side of a pixel
+_STRAY = 0.6  # pixels from the median of its neighbours: more is a window that was led astray
+_ISLAND = 2  # windows: what is smaller is dropped
 _FLAT = 1e-6
 
 
@@ -105,25 +108,24 @@ def _measured(view: View, number: int, projector: Camera, picture: ProjectedPict
     image = read_grey(picture)
     saturated = image >= 1
     image = image - (0 if black is None else read_grey(black))
-    dots, base = reference_picture(pair, projector, picture)
-    found = match_dots(rectified_picture(view.camera, pair.first, image), dots, base, pair.disparities, window=window, score=score,
-                       uniqueness=uniqueness, contrast=contrast)
-    rows, columns = np.nonzero(found.reason == Reason.VALID)
-    points = pair.points(rows, columns, found.disparity[rows, columns])
-    chosen, pixels = onto_pixels(view.camera, points)
-    points = points[chosen]
-    reason = _in_picture(view.camera, pair.first, found.reason)
-    reason = np.where(saturated, np.uint8(Reason.SATURATED), np.where(reason == Reason.VALID, np.uint8(Reason.UNCERTAIN), reason))
-    reason[pixels] = Reason.VALID
+    dots = reference_picture(pair, projector, picture)
+    found = match_dots(rectified_picture(view.camera, pair.first, image), dots, window=window, score=score, uniqueness=uniqueness,
+                       contrast=contrast)
+    inside = rectified_picture(view.camera, pair.first, np.ones(image.shape, np.float32))
+    found.reason[cv2.erode(inside, np.ones((window, window), np.uint8), borderValue=0) < 1] = Reason.UNLIT  # a window is cut there
+    points, reason = pair.points_seen(view.camera, found.disparity, found.reason)
+    kept = ~saturated[reason == Reason.VALID]
+    points, reason = points[kept], np.where(saturated, np.uint8(Reason.SATURATED), reason)
     depths = (points - pair.first.centre) @ pair.first.forward
-    measured = measurement_of(view, number, points, pixels, pair.deviation(depths, SIGMA), reason, projector)
+    measured = measurement_of(view, number, points, np.nonzero(reason == Reason.VALID), pair.deviation(depths, SIGMA), reason, projector)
     return replace(measured, warnings=measured.warnings + _drowning(where, image if black is None else read_grey(picture), reason, window))
 
 
-def reference_picture(pair: RectifiedPair, projector: Camera, picture: ProjectedPicture) -> tuple[np.ndarray, int]:
-    """Return the memorised picture, (h, w) float32, of the dots on a plane, and how far it is moved.
+def reference_picture(pair: RectifiedPair, projector: Camera, picture: ProjectedPicture) -> np.ndarray:
+    """Return the memorised picture of the dots on the farthest plane of the working volume.
 
-    The plane lies in the middle of the disparities, so that shifts towards and away from it are as far.
+    It is (h, w + d) float32 and begins d columns before the rectified picture, d being the pair's disparities: so far nearer things
+    may shift the dots. NaN beyond the projector's picture.
 
     Raises
     ------
@@ -133,57 +135,59 @@ def reference_picture(pair: RectifiedPair, projector: Camera, picture: Projected
     fields = {"dot": int(number_of(picture, "dot", 1, 4096)), "density": number_of(picture, "density", 0.0, 1.0),
               "seed": int(number_of(picture, "seed", 0, 1 << 31))}
     pattern = speckle_image(projector.size, fields).astype(np.float32) / 255
-    finer = projector.K[0, 0] / pair.second.K[0, 0]  # of the projector's pixels than the rectified ones
-    if finer > 1:
-        pattern = cv2.GaussianBlur(pattern, (0, 0), 0.5 * np.sqrt(finer ** 2 - 0.9))
-    dots = rectified_picture(projector, pair.second, pattern)
-    base = pair.disparities // 2
-    return _moved(dots, base), base
+    (width, height), more = pair.second.size, pair.disparities
+    wide = replace(pair.second, K=pair.second.K + np.array([[0, 0, more], [0, 0, 0], [0, 0, 0]]), size=(width + more, height))
+    # A camera's pixel takes in an area: the mean of samples of it, each of one of the projector's pixels.
+    fine = rectified_picture(projector, wide.scaled(_SAMPLES), pattern, interpolation=cv2.INTER_NEAREST, border=np.nan)
+    return fine.reshape(height, _SAMPLES, width + more, _SAMPLES).mean(axis=(1, 3))
 
 
-def match_dots(image: np.ndarray, reference: np.ndarray, base: int, disparities: int, *, window: int, score: float, uniqueness: float,
-               contrast: float) -> Match:
+def match_dots(image: np.ndarray, reference: np.ndarray, *, window: int, score: float, uniqueness: float, contrast: float) -> Match:
     """Find for every pixel the shift at which its window correlates best with the reference.
 
     The measure is the zero-mean normalised cross-correlation, which other light and the surface's albedo leave alone. A
-    parabola through the best score and its neighbours gives the place between pixels.
+    parabola through the best score and its neighbours gives the place between pixels, and the median of 5 x 5 of these places the
+    disparity.
 
     Parameters
     ----------
-    image, reference : (h, w) float32 arrays
+    image : (h, w) float32 array
         Rectified.
-    base : int
-        The disparity of the reference.
-    disparities : int
-        Disparities from 0 to this are tried.
+    reference : (h, w + d) float32 array
+        See `reference_picture`; disparities from 0 to d are tried.
     window : int
         Odd.
     score, uniqueness, contrast
         See `OPTIONS`.
     """
+    width, disparities = image.shape[1], reference.shape[1] - image.shape[1]
     mean, deviation = _statistics(image, window)
+    whole = cv2.erode(np.isfinite(reference).astype(np.uint8), np.ones((window, window), np.uint8), borderValue=0).astype(np.float32)
+    reference = np.nan_to_num(reference)
     best = np.full(image.shape, -1, np.float32)
     before, after, second, previous = (best.copy() for _ in range(4))
     place = np.full(image.shape, -9, np.int32)
     own_mean, own_deviation = _statistics(reference, window)
     for disparity in range(disparities + 1):
-        moved, other, spread = (_moved(values, disparity - base) for values in (reference, own_mean, own_deviation))
+        part = slice(disparities - disparity, disparities - disparity + width)
+        moved, other, spread, known = (values[:, part] for values in (reference, own_mean, own_deviation, whole))
         covariance = cv2.boxFilter(image * moved, -1, (window, window)) - mean * other
-        now = np.clip(covariance / np.maximum(deviation * spread, _FLAT), -1, 1)
+        now = np.where(known > 0, np.clip(covariance / np.maximum(deviation * spread, _FLAT), -1, 1), np.float32(-1))
         np.copyto(after, now, where=place == disparity - 1)
         better, apart = now > best, disparity - place > 1
         np.maximum(second, np.where(better, best, now), out=second, where=apart)
         for kept, fresh in ((before, previous), (best, now), (after, np.float32(-1)), (place, np.int32(disparity))):
             np.copyto(kept, fresh, where=better)
         previous = now
-    curvature = before - 2 * best + after
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shift = np.where(curvature < 0, 0.5 * (before - after) / curvature, 0)
-    disparity = (np.round((place + shift) * STEPS) / STEPS).astype(np.float32)
+    curvature = np.minimum(before - 2 * best + after, -_FLAT)
+    disparity = (place + np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)).astype(np.float32)
+    smooth = cv2.medianBlur(disparity, 5)
     at_end = (place == 0) | (place == disparities)
-    reason = np.where((best < score) | (second > uniqueness * best) | at_end, np.uint8(Reason.UNCERTAIN), np.uint8(Reason.VALID))
+    strays = np.abs(disparity - smooth) > _STRAY
+    reason = np.where((best < score) | (second > uniqueness * best) | at_end | strays, np.uint8(Reason.UNCERTAIN), np.uint8(Reason.VALID))
+    disparity = np.round(smooth * STEPS) / STEPS
     islands = np.where(reason == Reason.VALID, disparity * STEPS, -1).astype(np.int16)
-    cv2.filterSpeckles(islands, -1, window * window // 2, STEPS)
+    cv2.filterSpeckles(islands, -1, _ISLAND * window * window, STEPS)
     reason[(islands < 0) & (reason == Reason.VALID)] = Reason.UNCERTAIN
     reason[deviation < contrast] = Reason.UNLIT
     return Match(disparity, reason, best)
@@ -193,24 +197,6 @@ def _statistics(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray
     """Return mean and standard deviation in the window about each pixel."""
     mean = cv2.boxFilter(values, -1, (window, window))
     return mean, np.sqrt(np.maximum(cv2.boxFilter(values * values, -1, (window, window)) - mean * mean, 0))
-
-
-def _moved(values: np.ndarray, columns: int) -> np.ndarray:
-    """Return values moved to the right; what comes in is 0."""
-    out = np.zeros_like(values)
-    if abs(columns) < values.shape[1]:
-        out[:, max(columns, 0):values.shape[1] + min(columns, 0)] = values[:, max(-columns, 0):values.shape[1] - max(columns, 0)]
-    return out
-
-
-def _in_picture(camera: Camera, ideal: Camera, reason: np.ndarray) -> np.ndarray:
-    """Return the reasons of a rectified picture at the pixels of the real one."""
-    width, height = camera.size
-    rows, columns = np.mgrid[:height, :width]
-    pixels, depth = ideal.project(ideal.centre + rays_through(camera, np.stack((columns, rows), axis=-1)))
-    pixels = np.where((depth > 0)[..., None], pixels, -2).astype(np.float32)
-    return cv2.remap(reason, pixels[..., 0], pixels[..., 1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT,
-                     borderValue=int(Reason.UNLIT))
 
 
 def _drowning(where: str, image: np.ndarray, reason: np.ndarray, window: int) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from ..scan import Scan, View
 from ..volumetric.visual_hull import working_bounds
 from .correspondence import Reason
 from .measurement import Measurement, measurement_of
-from .rectification import RectifiedPair, onto_pixels, rectified_picture, rectify
+from .rectification import RectifiedPair, rectified_picture, rectify
 from .structured_light import FILL
 
 OPTIONS = (
@@ -95,14 +95,11 @@ def match_views(view: View, number: int, other: View, box: np.ndarray, *, block:
     inside = rectified_picture(view.camera, pair.first, view.mask.astype(np.uint8), interpolation=cv2.INTER_NEAREST) > 0
     disparity = semi_global_disparity(*pictures, pair.disparities, block)
     textured = local_deviation(pictures[0], block) >= texture
-    rows, columns = np.nonzero((disparity >= 0) & inside & textured)
-    points = pair.points(rows, columns, disparity[rows, columns])
-    chosen, pixels = onto_pixels(view.camera, points)
-    chosen_points = points[chosen]
-    reason = np.where(view.mask, np.uint8(Reason.UNCERTAIN), np.uint8(Reason.UNLIT))
-    reason[pixels] = Reason.VALID
-    found = measurement_of(view, number, chosen_points, pixels, _deviation(pair, chosen_points), reason, None)
-    return replace(found, warnings=_warnings(view, other, inside, textured, len(chosen)))
+    reason = np.where((disparity >= 0) & inside & textured, np.uint8(Reason.VALID), np.uint8(Reason.UNCERTAIN))
+    points, reason = pair.points_seen(view.camera, disparity, reason)
+    points, reason = points[view.mask[reason == Reason.VALID]], np.where(view.mask, reason, np.uint8(Reason.UNLIT))
+    found = measurement_of(view, number, points, np.nonzero(reason == Reason.VALID), _deviation(pair, points), reason, None)
+    return replace(found, warnings=_warnings(view, other, inside, textured, len(points)))
 
 
 def semi_global_disparity(first: np.ndarray, second: np.ndarray, disparities: int, block: int) -> np.ndarray:

@@ -23,11 +23,13 @@ from .stripe_edges import Edges
 
 ALPHA, BETA = 0.15, 0.5
 """Shares of a channel's range: below the first a change is noise, above the second it is a border's."""
-_BYTES = 1 << 28  # of decisions kept at a time
+_BYTES = 1 << 28  # of scores kept at a time
 _NEVER = np.float32(-1e9)
+_BESIDE = 2  # pixels by which a border may move from row to row
+_MOST_ROUNDS = 64  # rows that support is handed on over
 
 
-def match_borders(edges: Edges, borders: np.ndarray, *, passes: int = 4, run: int = 3) -> np.ndarray:
+def match_borders(edges: Edges, borders: np.ndarray, *, passes: int = 4, run: int = 5) -> np.ndarray:
     """Return (n,) int: the projector's border that each border of a picture is, -1 for none.
 
     Parameters
@@ -39,13 +41,14 @@ def match_borders(edges: Edges, borders: np.ndarray, *, passes: int = 4, run: in
         The most passes; they end before when one finds no run.
     run : int
         A match counts if this many neighbouring borders of the projector, itself among them, are matched to neighbours in
-        the picture: no shorter word of the code is unique.
+        the picture. Words of `color_stripe_code.WINDOW` are unique; longer ones also survive noise. In later passes it is one
+        more, since less is left that could contradict.
     """
-    found = np.full(len(edges.rows), -1)
+    found, guessed = (np.full(len(edges.rows), -1) for _ in range(2))
     rows, start, count = np.unique(edges.rows, return_index=True, return_counts=True)
     if not len(rows):
         return found
-    at_once = max(1, int(_BYTES // (count.max() * len(borders) * 5)))
+    at_once = max(1, int(_BYTES // (count.max() * len(borders) * 8)))
     for first in range(0, len(rows), at_once):
         part = slice(first, first + at_once)
         index = start[part, None] + np.arange(count[part].max())
@@ -53,23 +56,48 @@ def match_borders(edges: Edges, borders: np.ndarray, *, passes: int = 4, run: in
         index = np.minimum(index, len(edges.rows) - 1)
         scores = border_scores(borders, edges.steps[index])
         scores[~there] = _NEVER
-        matched = match_rows(scores, passes=passes, run=run)
-        found[index[there]] = matched[there]
-    return found
+        matched, paths = match_rows(scores, passes=passes, run=run)
+        found[index[there]], guessed[index[there]] = matched[there], paths[there]
+    return agreeing(edges, found, guessed)
 
 
-def match_rows(scores: np.ndarray, *, passes: int, run: int) -> np.ndarray:
-    """Return (r, i) int: for each row and each border in it the projector's border, -1 for none; ``scores`` (r, i, j) are changed."""
-    found = np.full(scores.shape[:2], -1)
-    for _ in range(passes):
+def match_rows(scores: np.ndarray, *, passes: int, run: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return for each row and each border in it (r, i) the projector's border, -1 for none: as believed, and as the paths have it.
+
+    ``scores`` (r, i, j) are changed.
+    """
+    found, guessed = (np.full(scores.shape[:2], -1) for _ in range(2))
+    for number in range(passes):
         path, _ = best_path(scores)
-        path = np.where(in_runs(path, run), path, -1)
+        guessed = np.where(path >= 0, path, guessed)
+        path = np.where(in_runs(path, run + (number > 0)), path, -1)
         row, border = np.nonzero(path >= 0)
         if not len(row):
             break
         found[row, border] = path[row, border]
         scores[row, border] = _NEVER
         scores[row, :, path[row, border]] = _NEVER
+    return found, guessed
+
+
+def agreeing(edges: Edges, found: np.ndarray, guessed: np.ndarray) -> np.ndarray:
+    """Return ``found`` (n,), with those guesses that the row above or below supports: the same border within two pixels.
+
+    Where a surface shows fewer stripes than a run takes, near an outline or on something thin, its other rows vouch for it.
+    """
+    columns = np.rint(edges.columns).astype(int) + _BESIDE
+    known = np.full((edges.rows.max() + 3, columns.max() + 1 + _BESIDE), -1, np.int16)
+    found, asked = found.copy(), np.flatnonzero((found < 0) & (guessed >= 0))
+    known[edges.rows + 1, columns] = found
+    for _ in range(_MOST_ROUNDS):
+        row, column, border = edges.rows[asked] + 1, columns[asked], guessed[asked]
+        supported = np.logical_or.reduce([known[row + down, column + beside] == border
+                                          for down in (-1, 1) for beside in range(-_BESIDE, _BESIDE + 1)])
+        if not supported.any():
+            break
+        found[asked[supported]] = border[supported]
+        known[row[supported], column[supported]] = border[supported]
+        asked = asked[~supported]
     return found
 
 
@@ -93,27 +121,19 @@ def border_scores(borders: np.ndarray, steps: np.ndarray) -> np.ndarray:
 def best_path(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the matches (r, i) int of the best path through each row, -1 for none, and its score (r,)."""
     rows, count, borders = scores.shape
-    total = np.zeros((rows, borders + 1), np.float32)
-    place = np.arange(borders + 1, dtype=np.int16)
-    matched = np.empty((count, rows, borders + 1), bool)
-    leftmost = np.empty((count, rows, borders + 1), np.int16)
+    best = np.zeros((count + 1, rows, borders + 1), np.float32)
     for i in range(count):
-        through = np.full_like(total, -np.inf)
-        np.add(total[:, :-1], scores[:, i], out=through[:, 1:])
-        np.greater(through, total, out=matched[i])
-        best = np.maximum.accumulate(np.maximum(through, total), axis=1)
-        rises = np.ones(best.shape, bool)
-        np.greater(best[:, 1:], best[:, :-1], out=rises[:, 1:])
-        np.maximum.accumulate(np.where(rises, place, np.int16(0)), axis=1, out=leftmost[i])
-        total = best
+        np.add(best[i, :, :-1], scores[:, i], out=best[i + 1, :, 1:])
+        np.maximum(best[i + 1], best[i], out=best[i + 1])
+        np.maximum.accumulate(best[i + 1], axis=1, out=best[i + 1])
     path = np.full((rows, count), -1)
     row, j = np.arange(rows), np.full(rows, borders)
     for i in range(count - 1, -1, -1):
-        j = leftmost[i, row, j].astype(np.int64)
-        taken = matched[i, row, j]
+        j = (best[i + 1] >= best[i + 1, row, j][:, None]).argmax(axis=1)  # the least of equally good ones
+        taken = best[i + 1, row, j] > best[i, row, j]  # at the least j it is not from its left
         path[taken, i] = j[taken] - 1
         j = j - taken
-    return path, total[:, -1]
+    return path, best[count, :, -1]
 
 
 def in_runs(path: np.ndarray, run: int) -> np.ndarray:
