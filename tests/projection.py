@@ -137,17 +137,14 @@ def shown(pattern: Pattern, pixels: np.ndarray) -> np.ndarray:
         return np.exp(-8 * ((along - fields["position"]) / fields["width"]) ** 2)
     if fields["kind"] == "point":
         return np.exp(-8 * ((column - fields["column"]) ** 2 + (row - fields["row"]) ** 2) / fields["width"] ** 2)
-    if pattern.image.ndim == 3:  # colours are blended between the projector's columns, as `addon.stage.projection` has them
-        line = pattern.light[0]
-        return np.stack([np.interp(column, np.arange(len(line)), line[:, channel]) for channel in range(3)], axis=-1)
     height, width = pattern.image.shape
     place = np.clip(np.rint(row), 0, height - 1).astype(int), np.clip(np.rint(column), 0, width - 1).astype(int)
     return pattern.image[place] / (255 if pattern.image.dtype == np.uint8 else 1)
 
 
 def picture(seen: Sight, pattern: Pattern, *, samples: int = 1, ambient: float = 0.0, noise: float = 0.0, levels: int = 0,
-            tint: Sequence[float] | None = None, random: np.random.Generator | None = None) -> np.ndarray:
-    """Return the (h, w) float32 picture of a sight under a pattern; (h, w, 3) under one with colours, or of a surface with a tint.
+            random: np.random.Generator | None = None) -> np.ndarray:
+    """Return the (h, w) float32 picture of a sight under a pattern.
 
     Parameters
     ----------
@@ -155,17 +152,12 @@ def picture(seen: Sight, pattern: Pattern, *, samples: int = 1, ambient: float =
         Of a camera with ``samples`` times as many pixels along each side.
     noise : float
         Standard deviation.
-    tint : (3,) sequence, optional
-        By which the surface reflects red, green and blue, besides its albedo.
     levels : int
         Greatest value of the camera's integers, to which the picture is rounded; 0 for none.
     """
-    shining = shown(pattern, seen.pixels)
-    if tint is not None or shining.ndim == 3:
-        shining = (shining if shining.ndim == 3 else shining[..., None]) * np.asarray(1.0 if tint is None else tint)
-    light = ambient + (seen.light[..., None] if shining.ndim == 3 else seen.light) * shining
-    height, width = light.shape[:2]
-    light = light.reshape(height // samples, samples, width // samples, samples, *light.shape[2:]).mean(axis=(1, 3))
+    light = ambient + seen.light * shown(pattern, seen.pixels)
+    height, width = light.shape
+    light = light.reshape(height // samples, samples, width // samples, samples).mean(axis=(1, 3))
     if noise:
         light = light + random.normal(0, noise, light.shape)
     light = np.clip(light, 0, 1)
@@ -181,8 +173,7 @@ def projected_view(camera: Camera, projector: Camera, patterns: Sequence[Pattern
     def reader(number: int, pattern: Pattern):
         def read() -> np.ndarray:
             random = np.random.default_rng((seed, number))
-            image = picture(seen, pattern, random=random, **how)
-            return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+            return np.repeat(picture(seen, pattern, random=random, **how)[..., None], 3, axis=2)
         return read
 
     pictures = tuple(ProjectedPicture(pattern.id, pattern.fields, "projector", projector, reader(number, pattern))

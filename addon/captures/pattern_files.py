@@ -8,6 +8,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import ScanstageError
 from ..progress import Progress, silent
 from ..reconstruction.active.patterns import Pattern
@@ -44,8 +46,9 @@ def write_patterns(folder: Path, patterns: Sequence[Pattern], *, encoding: str =
     for index, pattern in enumerate(patterns):
         progress(index / len(patterns), f"Writing pattern {index + 1} of {len(patterns)}")
         name = f"pattern-{index:0{digits}d}.png"
-        write_picture(folder / name, pattern.light, encoding=encoding, bits=8)
+        light = pattern.image / 255 if pattern.image.dtype == np.uint8 else pattern.image
+        write_picture(folder / name, np.repeat(light[..., None], 3, axis=2), encoding=encoding, bits=8)
         entries.append({"file": name, "id": pattern.id, "fields": dict(pattern.fields)})
-    text = json.dumps({"size": list(patterns[0].size), "encoding": encoding, "patterns": entries}, indent=1)
+    text = json.dumps({"size": list(patterns[0].image.shape[::-1]), "encoding": encoding, "patterns": entries}, indent=1)
     write_bytes(folder / LIST, text.encode() + b"\n")
     progress(1.0, f"{len(patterns)} patterns")

@@ -30,7 +30,6 @@ from .schema import FILE_NAME, Capture, Frame
 from .store import files_of, read_capture
 
 MASKS, SHADOWS = "masks", "shadows"
-_PLANES = {"plane", "wall"}  # fields of a pattern that are planes in the world
 
 
 def load_scan(folder: Path, silhouette_options: Mapping[str, Value] | None = None, progress: Progress = silent, *,
@@ -140,8 +139,8 @@ def _projected(folder: Path, capture: Capture) -> dict[tuple[str, bytes], tuple[
             continue
         motion = np.asarray(frame.object_to_world, float)
         fields = dict(capture.patterns[frame.pattern])
-        for name in _PLANES & fields.keys():
-            fields[name] = _moved_plane(fields[name], motion, f"{FILE_NAME}: patterns.{frame.pattern}.{name}")
+        if "plane" in fields:
+            fields["plane"] = _moved_plane(fields["plane"], motion, f"{FILE_NAME}: patterns.{frame.pattern}.plane")
         id = _projector_of(capture, frame, fields)
         projector = None if id is None else capture.projectors[id].moved(motion)
         light = capture.lights[frame.lights[0]].moved(motion) if len(frame.lights) == 1 else None

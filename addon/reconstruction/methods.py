@@ -19,7 +19,7 @@ from ..errors import ScanstageError
 from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
-from .active import color_stripes, desk_shadow, laser_stripe, speckle, stereo, structured_light
+from .active import laser_stripe, speckle, stereo, structured_light
 from .active.measurement import measured_bounds, points_to_voxels
 from .geometry import VoxelGrid
 from .mesh import TriangleMesh
@@ -114,10 +114,6 @@ METHODS = {method.name: method for method in (
            ("silhouettes", "colour"), stereo.OPTIONS, points_to_voxels, measured_bounds, measure=stereo.measure_stereo),
     Method("speckle", "Speckle", "Depth maps from one picture of a projector's pseudo-random dots each, as a depth sensor takes them",
            ("patterns",), speckle.OPTIONS, points_to_voxels, measured_bounds, measure=speckle.measure_speckle),
-    Method("color-stripes", "Color Stripes", "Points from one picture of coloured stripes, or finer ones from several in which they move",
-           ("patterns",), color_stripes.OPTIONS, points_to_voxels, measured_bounds, measure=color_stripes.measure_color_stripes),
-    Method("desk-shadow", "Desk Shadow", "Points where the shadow of a stick passes over an object on a desk, under a lamp",
-           ("patterns",), desk_shadow.OPTIONS, points_to_voxels, measured_bounds, measure=desk_shadow.measure_desk_shadow),
 )}
 
 

@@ -4,7 +4,7 @@
 
 The image is made once and never rewritten, so that the renderer may keep it with the geometry: from pattern to pattern
 one number changes. Most patterns repeat one row or one column; a set of such patterns takes one line each, whatever the
-projector's height. Patterns of black and white alone have sharp pixels. Where a set has shades in between, or colours, neighbouring pixels
+projector's height. Patterns of black and white alone have sharp pixels. Where a set has shades in between, neighbouring pixels
 are blended, as a real projector's lens blends them: sinusoids and profiles are continuous, and the borders of black and white
 stay where they were. What each pattern is (`addon.reconstruction.active.patterns`) is kept beside the image for `pattern_of`.
 """
@@ -33,7 +33,7 @@ class _Atlas:
 
     Parameters
     ----------
-    image : (h, w) or (h, w, 3) array
+    image : (h, w) array
         Row 0 at the top; float, or 8-bit.
     place : (n,) int array
         Where each pattern is, counted in tiles from the top.
@@ -66,16 +66,15 @@ def show_patterns(light: bpy.types.Light, patterns: Sequence[Pattern], shown: Se
     """
     size = projector.optics_of(light).size
     for pattern in patterns:
-        if pattern.size != size:
-            raise ScanstageError(f"projector {light.name!r}: pattern {pattern.id} is {pattern.size[0]}x{pattern.size[1]}, "
+        if pattern.image.shape != size[::-1]:
+            raise ScanstageError(f"projector {light.name!r}: pattern {pattern.id} is {pattern.image.shape[1]}x{pattern.image.shape[0]}, "
                                  f"the projector {size[0]}x{size[1]}; make patterns of its size")
-    images = _alike([pattern.image for pattern in patterns])
-    atlas = _atlas_of_lines(images, size) or _atlas_of_pictures(images, size)
+    atlas = _atlas_of_lines(patterns, size) or _atlas_of_pictures(patterns, size)
     projector.clear(light)
     tree = light.node_tree
     pattern = nodes.named_value(tree, projector.PATTERN, projector.OFF)
     texture = projector.image_node(tree, _new_image(light.name, atlas.image), _lookup(tree, atlas, pattern, len(patterns), size))
-    texture.interpolation = "Closest" if atlas.image.ndim == 2 and _is_binary(atlas.image) else "Linear"
+    texture.interpolation = "Closest" if _is_binary(atlas.image) else "Linear"
     projector.finish(tree, texture, pattern)
     order = np.argsort(atlas.place)
     light[projector.PATTERNS] = json.dumps({"size": size, "patterns": [[patterns[i].id, dict(patterns[i].fields)] for i in order]})
@@ -126,33 +125,27 @@ def _image_fields(tree: bpy.types.NodeTree, frame: int) -> tuple[str, Mapping[st
     return f"image-{fields['frame']:04d}", fields
 
 
-def _alike(images: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return images that all have colours if one of them has, and all floating point if one of them is."""
-    if any(image.ndim == 3 for image in images):
-        images = [image if image.ndim == 3 else np.broadcast_to(image[..., None], (*image.shape, 3)) for image in images]
-    kind = np.result_type(*images)
-    return [image if image.dtype == kind else image / np.iinfo(image.dtype).max for image in images]
-
-
-def _atlas_of_lines(images: Sequence[np.ndarray], size: tuple[int, int]) -> _Atlas | None:
+def _atlas_of_lines(patterns: Sequence[Pattern], size: tuple[int, int]) -> _Atlas | None:
     """Return the patterns as one line each, those along columns first; None if one of them repeats neither."""
-    across = np.array([bool((image == image[:1]).all()) for image in images])
-    if not all(flat or (image == image[:, :1]).all() for flat, image in zip(across, images, strict=True)):
+    across = np.array([bool((pattern.image == pattern.image[:1]).all()) for pattern in patterns])
+    if not all(flat or (pattern.image == pattern.image[:, :1]).all() for flat, pattern in zip(across, patterns, strict=True)):
         return None
     order = np.argsort(~across, kind="stable")
-    lines = [images[i][0] if across[i] else images[i][:, 0] for i in order]
-    atlas = np.zeros((len(lines), max(size), *lines[0].shape[1:]), lines[0].dtype)
-    for row, line in zip(atlas, lines, strict=True):
-        row[:len(line)] = line
+    lines = [patterns[i].image[0] if across[i] else patterns[i].image[:, 0] for i in order]
+    image = np.zeros((len(lines), max(size)), np.result_type(*lines))
+    for row, line in zip(image, lines, strict=True):
+        row[:len(line)] = line if line.dtype == image.dtype else line / np.iinfo(line.dtype).max
         row[len(line):] = row[len(line) - 1]  # no pixel at the picture's edge is blended with what lies beyond
-    return _Atlas(atlas, np.argsort(order), int(across.sum()))
+    return _Atlas(image, np.argsort(order), int(across.sum()))
 
 
-def _atlas_of_pictures(images: Sequence[np.ndarray], size: tuple[int, int]) -> _Atlas:
-    if len(images) * size[0] * size[1] > _MOST_PIXELS:
-        raise ScanstageError(f"{len(images)} patterns of {size[0]}x{size[1]} pixels are more than Blender can hold in one image; use a "
+def _atlas_of_pictures(patterns: Sequence[Pattern], size: tuple[int, int]) -> _Atlas:
+    if len(patterns) * size[0] * size[1] > _MOST_PIXELS:
+        raise ScanstageError(f"{len(patterns)} patterns of {size[0]}x{size[1]} pixels are more than Blender can hold in one image; use a "
                              "smaller projector, or fewer patterns")
-    return _Atlas(np.concatenate(images), np.arange(len(images)), None)
+    kind = np.result_type(*(pattern.image for pattern in patterns))
+    pictures = [p.image if p.image.dtype == kind else p.image / np.iinfo(p.image.dtype).max for p in patterns]
+    return _Atlas(np.concatenate(pictures), np.arange(len(patterns)), None)
 
 
 def _lookup(tree: bpy.types.NodeTree, atlas: _Atlas, pattern: Scalar, count: int, size: tuple[int, int]) -> bpy.types.NodeSocket:
@@ -173,11 +166,11 @@ def _is_binary(values: np.ndarray) -> bool:
 
 def _new_image(name: str, values: np.ndarray) -> bpy.types.Image:
     """Return values as an image of Blender's, kept in the file, whose pixels are read as numbers and not as colours."""
-    height, width = values.shape[:2]
+    height, width = values.shape
     is_float = values.dtype.kind == "f"
     image = ownership.mark(bpy.data.images.new(f"{name} Patterns", width, height, is_data=True, float_buffer=is_float))
     pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = values[::-1].reshape(height, width, -1) / (1.0 if is_float else np.iinfo(values.dtype).max)
+    pixels[..., :3] = values[::-1, :, None] / (1.0 if is_float else np.iinfo(values.dtype).max)
     image.pixels.foreach_set(pixels.ravel())
     image.pack()
     return image

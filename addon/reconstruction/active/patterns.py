@@ -12,15 +12,10 @@ taken under it. Decoders read the fields alone: they do not care who showed the 
 | ``phase-shift`` | ``axis``, ``period`` in pixels, ``step``, ``steps`` |
 | ``stripe`` | ``axis``, ``position`` of its middle and ``width`` (four standard deviations) in pixels |
 | ``laser`` | ``plane``, ``[nx, ny, nz, d]`` with ``n . X = d`` in the world, and ``width`` in its unit: a stripe of no projector |
-| ``stick-shadow`` | ``sweep``, ``index``, ``plane`` (the desk) and perhaps ``wall``, ``strips``: see below |
 | ``point`` | ``column``, ``row``, ``width`` |
 | ``point-grid`` | ``spacing``, ``width`` |
 | ``checker`` | ``cell``, ``step``, ``steps`` |
-| ``color-stripes`` | ``axis``, ``width`` of a stripe in pixels, ``shift`` of all in pixels |
 | ``speckle`` | ``dot``, the side of a dot in pixels, ``density``, ``seed`` |
-
-A stick's shadow is frame ``index`` of a ``sweep``; its planes are as a laser's, and its ``strips`` are
-``[first row, last row, "plane" or "wall"]``, rows of the picture in which the camera sees nothing but that plane.
 
 ``axis`` is what the code counts: ``column`` or ``row``. ``projector`` may name the projector's id, which a capture set with
 several needs.
@@ -35,12 +30,30 @@ import numpy as np
 
 from ...errors import ScanstageError
 from ...options import Option, Unit, Value, resolve
-from .color_stripe_code import color_stripes
-from .pattern import AXES, Pattern
-from .speckle_code import speckle
+from .speckle_code import speckle_image
 
+AXES = ("column", "row")
 LARGEST_SIDE = 1 << 16  # codes are 16-bit numbers
 _GUARD = 1.125  # the coarsest sinusoid is so much longer than the projector's side that noise does not wrap the first column
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """One image for a projector.
+
+    Parameters
+    ----------
+    id : str
+        Unique in its set; letters, digits, ``-`` and ``.``.
+    fields : mapping
+        What it is, in JSON values: see above.
+    image : (height, width) uint8 or float32 array
+        Linear light; 255, or 1.0, is the projector's full power. Read-only where it repeats one row or column.
+    """
+
+    id: str
+    fields: Mapping[str, object]
+    image: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -205,6 +218,12 @@ def checker(size: tuple[int, int], *, cell: int = 8, shifts: int = 5) -> tuple[P
                  for index, (down, right) in enumerate((down, right) for down in offsets for right in offsets))
 
 
+def speckle(size: tuple[int, int], *, dot: int = 3, density: float = 0.3, seed: int = 1) -> tuple[Pattern, ...]:
+    """Return one pattern of square dots, each place of a grid lit or not by a coin of its own."""
+    fields = {"kind": "speckle", "dot": dot, "density": density, "seed": seed}
+    return (Pattern("speckle", fields, speckle_image(size, fields)),)
+
+
 def _gray_patterns(size: tuple[int, int], axis: str, finest: int, inverses: bool) -> list[Pattern]:
     length = size[AXES.index(axis)]
     bits = code_bits(length)
@@ -305,13 +324,6 @@ PATTERN_SETS = {entry.name: entry for entry in (
         Option("cell", 8, "Side of a square", unit=Unit.PIXELS, minimum=1, maximum=1024),
         Option("shifts", 5, "Shifts along each axis", minimum=2, maximum=16),
     ), checker),
-    PatternSet("color-stripes", "Color Stripes", "Coloured stripes, any three neighbouring borders of which are unique", (
-        Option("width", 8, "Width of a stripe: what the camera sees less than three pixels of cannot be told", unit=Unit.PIXELS,
-               minimum=2, maximum=1024),
-        Option("shifts", 1, "Pictures, each with the stripes one pixel farther: 1 is one shot, 7 measures in space and time",
-               minimum=1, maximum=64),
-        Option("dark", True, "One more picture without light from the projector, so that other light can be taken off"),
-    ), color_stripes),
     PatternSet("speckle", "Speckle", "Pseudo-random dots, as a depth sensor projects them", (
         Option("dot", 3, "Side of a dot: the camera should see one and a half to three pixels of it", unit=Unit.PIXELS,
                minimum=1, maximum=64),

@@ -24,7 +24,7 @@ from ..geometry import Camera
 from ..scan import ProjectedPicture, Scan, View
 from .correspondence import Reason
 from .measurement import Measurement, measurement_of
-from .rectification import RectifiedPair, box_between, rectified_picture, rectify
+from .rectified_pair import RectifiedPair, box_between, rectified_picture, rectify
 from .sequences import number_of, of_kind, only, read_grey
 from .speckle_code import speckle_image
 from .structured_light import FILL, projections
@@ -32,7 +32,7 @@ from .structured_light import FILL, projections
 OPTIONS = (
     Option("window", 9, "Side of the window that is matched: more is less noisy, and fattens edges by half of it", unit=Unit.PIXELS,
            minimum=3, maximum=63),
-    Option("score", 0.5, "Least correlation of a window with the dots, from -1 to 1", minimum=0.0, maximum=1.0),
+    Option("score", 0.7, "Least correlation of a window with the dots, from -1 to 1", minimum=0.0, maximum=1.0),
     Option("uniqueness", 0.85, "Of the best correlation: what the second best at another place may reach", minimum=0.1, maximum=1.0),
     Option("contrast", 0.004, "Least contrast of a window, as a share of white, for a pixel to count as lit by dots", minimum=0.0,
            maximum=1.0),
@@ -69,7 +69,7 @@ class Match:
     score: np.ndarray
 
 
-def measure_speckle(scan: Scan, *, window: int = 9, score: float = 0.5, uniqueness: float = 0.85, contrast: float = 0.004,
+def measure_speckle(scan: Scan, *, window: int = 9, score: float = 0.7, uniqueness: float = 0.85, contrast: float = 0.004,
                     fill: str = "shell", progress: Progress = silent) -> Measurement:
     """Measure a depth map for every picture under dots.
 
@@ -146,7 +146,7 @@ def match_dots(image: np.ndarray, reference: np.ndarray, *, window: int, score: 
     """Find for every pixel the shift at which its window correlates best with the reference.
 
     The measure is the zero-mean normalised cross-correlation, which other light and the surface's albedo leave alone. A
-    parabola through the best score and its neighbours gives the place between pixels, and the median of 5 x 5 of these places the
+    parabola through the best score and its neighbours gives the place between pixels, and the median of 3 x 3 of these places the
     disparity.
 
     Parameters
@@ -181,7 +181,7 @@ def match_dots(image: np.ndarray, reference: np.ndarray, *, window: int, score: 
         previous = now
     curvature = np.minimum(before - 2 * best + after, -_FLAT)
     disparity = (place + np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)).astype(np.float32)
-    smooth = cv2.medianBlur(disparity, 5)
+    smooth = cv2.medianBlur(disparity, 3)
     at_end = (place == 0) | (place == disparities)
     strays = np.abs(disparity - smooth) > _STRAY
     reason = np.where((best < score) | (second > uniqueness * best) | at_end | strays, np.uint8(Reason.UNCERTAIN), np.uint8(Reason.VALID))

@@ -8,14 +8,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .pattern import Pattern
-
-
-def speckle(size: tuple[int, int], *, dot: int = 3, density: float = 0.3, seed: int = 1) -> tuple[Pattern, ...]:
-    """Return one pattern of square dots, each place of a grid lit or not by a coin of its own."""
-    fields = {"kind": "speckle", "dot": dot, "density": density, "seed": seed}
-    return (Pattern("speckle", fields, speckle_image(size, fields)),)
-
 
 def speckle_image(size: tuple[int, int], fields: Mapping[str, object]) -> np.ndarray:
     """Return the (height, width) uint8 picture that a pattern's fields stand for."""

@@ -22,7 +22,7 @@ from ..scan import Scan, View
 from ..volumetric.visual_hull import working_bounds
 from .correspondence import Reason
 from .measurement import Measurement, measurement_of
-from .rectification import RectifiedPair, rectified_picture, rectify
+from .rectified_pair import RectifiedPair, rectified_picture, rectify
 from .structured_light import FILL
 
 OPTIONS = (
