@@ -18,10 +18,10 @@ from addon.reconstruction.active.stripe_edges import Channels
 from addon.reconstruction.active.triangulation import meet_lines, rays_through
 from addon.reconstruction.geometry import Camera
 from addon.reconstruction.scan import ProjectedPicture
-from tests.projection import Sight, Wall, shown, sight
-from tests.rigs import camera_at
+from tests.projection import Round, Sight, Wall, shown, sight
+from tests.rigs import Ball, camera_at
 
-CAMERA = camera_at((0.0, -2.0, 0.1), focal=800.0, size=(560, 120))
+CAMERA = camera_at((0.0, -2.0, 0.1), focal=1600.0, size=(1120, 80))
 PROJECTOR = camera_at((0.5, -2.0, 0.1), focal=1000.0, size=(1024, 768))
 NOISE = 2 / 255
 SAMPLES = 3
@@ -50,6 +50,11 @@ class Rod:
         out = points - np.array((self.x, self.y, 0))
         out[..., 2] = 0
         return out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-12)
+
+
+WALL = Wall((0.0, -1.0, 0.0), 0.0)
+BALL = Round(Ball((0.0, 0.0, 0.0), 0.35))
+ROD = Rod(0.05, -0.8, 0.035)
 
 
 def colored_picture(seen: Sight, colors: np.ndarray, pattern: Pattern, *, crosstalk: np.ndarray, seed: int) -> np.ndarray:
@@ -95,14 +100,14 @@ class Trial:
         """Return the share of visible edges that are matched, the number of wrong matches, and of visible edges.
 
         An edge is visible where a row crosses its column at least ``margin`` pixels from a border of shadow or silhouette, and the
-        stripes there are three pixels wide or more.
+        stripes there are four pixels wide or more.
         """
         inner = self.inner(margin) if surface is None else self.inner(margin) & (self.surface == surface)
         width, code = stripes.width, self.truth / stripes.width - stripes.position(-1) / stripes.width
         cell = np.floor(code)
         crossing = inner[:, :-1] & inner[:, 1:] & (cell[:, 1:] != cell[:, :-1])
         number = np.maximum(cell[:, 1:], cell[:, :-1])
-        crossing &= np.abs(np.diff(self.truth, axis=1)) <= width / 3  # narrower stripes than three pixels cannot be seen
+        crossing &= np.abs(np.diff(self.truth, axis=1)) <= width / 4  # a step is measured over four pixels
         crossing &= (number >= 1) & (number <= stripes.stripes - 1)
         rows, columns = np.nonzero(crossing)
         truth = self.true_positions(self.found)
@@ -163,6 +168,15 @@ def mottled(points: np.ndarray) -> np.ndarray:
     """Return colours (..., 3) of a fine, strong texture."""
     wave = np.sin(points[..., 0] * 310) * np.sin(points[..., 2] * 270 + 1) + np.sin(points[..., 0] * 143 + points[..., 2] * 91)
     return 0.5 + 0.2 * np.stack((wave, np.roll(wave, 7, axis=1), np.roll(wave, 13, axis=1)), axis=-1)
+
+
+def textured_plane(frames: int) -> tuple[float, float, int]:
+    """Return distances of points from a plane of strong texture: RMS over all, RMS of those of the right stripe; and their number."""
+    found, code = trial([WALL], mottled, frames=frames)
+    matches = found.found if frames == 1 else found.timed
+    errors = found.depth_errors(matches, WALL)
+    right = np.abs(found.true_positions(matches) - matches.positions) < code.width / 2
+    return float(np.sqrt(np.mean(errors ** 2))), float(np.sqrt(np.mean(errors[right] ** 2))), len(errors)
 
 
 def plain_matching(scores: np.ndarray) -> float:

@@ -40,8 +40,8 @@ OPTIONS = (
 _PLACE_DEVIATION = 0.25  # pixels of the camera, of an edge's place
 _TIME_DEVIATION = 0.25  # frames, of an edge's passing
 _NEAR = 0.75  # stripes between two matched edges, over all shifts, up to which what lies between is one surface
-_WHOLE = 0.9  # of a pixel's brightest value, by which it must change as an edge passes
 _ROWS, _LEAST_ROWS = 3, 3  # rows above and below a match, and how many of them must agree with it
+_TIMED_APART = 1.0  # projector pixels between neighbours whose edges are timed
 _AGREEMENT = 1 / 3  # of a stripe by which place and time may differ
 
 
@@ -230,12 +230,13 @@ def passing_edges(images: np.ndarray, found: Matches, shown: Stripes, *, contras
     scores = edge_scores(-total.sum(axis=0) / np.maximum(whole, contrast), code, whole >= 0)
     inside &= np.take_along_axis(scores, np.clip(edge, 0, len(code) - 1)[:, None], axis=1)[:, 0] > 0
     # One that had begun before the first frame, or goes on after the last, would be taken for too late, or early.
-    inside &= (np.abs(total.sum(axis=0)) >= _WHOLE * whole).any(axis=1, where=whole >= contrast)
-    return agreeing(Matches(rows[inside], columns[inside].astype(np.float64), position[inside]), images.shape[1:3], shown.width)
+    inside &= (peak > 0) & (peak < len(change) - 1) & (whole.max(axis=1) >= contrast)
+    return agreeing(Matches(rows[inside], columns[inside].astype(np.float64), position[inside]), images.shape[1:3], _TIMED_APART,
+                    2 * _ROWS - 1)
 
 
-def agreeing(found: Matches, shape: tuple[int, int], width: float) -> Matches:
-    """Return the matches that enough of those beside them in other rows agree with, to within a stripe.
+def agreeing(found: Matches, shape: tuple[int, int], apart: float, least: int = _LEAST_ROWS) -> Matches:
+    """Return the matches that enough of those beside them in other rows agree with, to within ``apart`` projector pixels.
 
     Rows are matched alone, so that what is wrong in one is seldom so in the next.
     """
@@ -244,9 +245,9 @@ def agreeing(found: Matches, shape: tuple[int, int], width: float) -> Matches:
     padded[found.rows + _ROWS, columns + 1] = found.positions
     count = np.zeros(len(found.rows), int)
     for down in (*range(-_ROWS, 0), *range(1, _ROWS + 1)):
-        near = [np.abs(padded[found.rows + _ROWS + down, columns + 1 + across] - found.positions) < width for across in (-1, 0, 1)]
+        near = [np.abs(padded[found.rows + _ROWS + down, columns + 1 + across] - found.positions) < apart for across in (-1, 0, 1)]
         count += np.logical_or.reduce(near)
-    good = count >= _LEAST_ROWS
+    good = count >= least
     return Matches(found.rows[good], found.places[good], found.positions[good])
 
 

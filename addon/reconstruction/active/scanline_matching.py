@@ -18,6 +18,7 @@ from .stripe_code import WINDOW
 
 _MOST_BYTES = 1 << 27  # of totals that the way back needs at a time
 _MOST_PASSES = 8
+_LONGEST_STEP = 2  # edges of the picture from one match of a run to the next
 _SUPPORT = np.float32(0.5)  # of a neighbour's score
 
 
@@ -101,28 +102,30 @@ def match_in_passes(scores: np.ndarray, passes: int = _MOST_PASSES) -> np.ndarra
 
 
 def supported(scores: np.ndarray) -> np.ndarray:
-    """Return scores (lines, n, m) of which the positive ones gain by those of both neighbours in a run.
+    """Return scores (lines, n, m) of which the positive ones gain by those before and after them in a run, a window at most.
 
     Not in the paper: at the ends of a scanline a few edges often fit edges of the code here and there as well as a run, and the
     total alone cannot choose.
     """
     fit = np.maximum(scores, 0)
-    gain = np.zeros_like(fit)
-    gain[:, 1:, 1:] += fit[:, :-1, :-1]
-    gain[:, :-1, :-1] += fit[:, 1:, 1:]
-    return np.where(scores > 0, scores + _SUPPORT * gain, scores)
+    before, after = np.zeros_like(fit), np.zeros_like(fit)
+    # From the far end of a window to the near one: what lies beyond counts only as far as what lies between fits.
+    for _ in range(WINDOW - 1):
+        before[:, 1:, 1:], before[:, 0], before[:, :, 0] = fit[:, :-1, :-1] * (1 + before[:, :-1, :-1]), 0, 0
+        after[:, :-1, :-1], after[:, -1], after[:, :, -1] = fit[:, 1:, 1:] * (1 + after[:, 1:, 1:]), 0, 0
+    return np.where(scores > 0, scores + _SUPPORT * (before + after), scores)
 
 
 def runs_only(match: np.ndarray) -> np.ndarray:
     """Return matches (lines, n) without those in runs of fewer than `WINDOW` successive edges of the code.
 
-    Edges without a match, such as those of a texture, do not end a run.
+    One edge without a match, such as a texture's, does not end a run; several do: they are another surface's.
     """
     lines, places = np.nonzero(match >= 0)
     codes, kept = match[lines, places], np.full(match.shape, -1)
     if not codes.size:
         return kept
-    begins = np.concatenate(([True], (np.diff(lines) != 0) | (np.diff(codes) != 1)))
+    begins = np.concatenate(([True], (np.diff(lines) != 0) | (np.diff(codes) != 1) | (np.diff(places) > _LONGEST_STEP)))
     run = np.cumsum(begins) - 1
     long = np.bincount(run)[run] >= WINDOW
     kept[lines[long], places[long]] = codes[long]

@@ -94,7 +94,7 @@ def find_edges(image: np.ndarray, stripe: float, *, contrast: float, channels: C
     else:
         image, alive = channels.corrected(image, contrast), channels.albedo >= contrast
         whole = np.ones_like(image)
-    half = int(np.clip(round(0.3 * stripe), 1, 3))
+    half = int(np.clip(round(0.3 * stripe), 1, 2))
     steps = np.zeros_like(image)
     steps[:, half:-half] = image[:, 2 * half:] - image[:, :-2 * half]
     steps = np.where(alive, steps / np.maximum(whole, contrast), 0)
