@@ -137,7 +137,7 @@ def shown(pattern: Pattern, pixels: np.ndarray) -> np.ndarray:
         return np.exp(-8 * ((along - fields["position"]) / fields["width"]) ** 2)
     if fields["kind"] == "point":
         return np.exp(-8 * ((column - fields["column"]) ** 2 + (row - fields["row"]) ** 2) / fields["width"] ** 2)
-    height, width = pattern.image.shape
+    height, width = pattern.image.shape[:2]
     place = np.clip(np.rint(row), 0, height - 1).astype(int), np.clip(np.rint(column), 0, width - 1).astype(int)
     return pattern.image[place] / (255 if pattern.image.dtype == np.uint8 else 1)
 

@@ -47,8 +47,8 @@ def write_patterns(folder: Path, patterns: Sequence[Pattern], *, encoding: str =
         progress(index / len(patterns), f"Writing pattern {index + 1} of {len(patterns)}")
         name = f"pattern-{index:0{digits}d}.png"
         light = pattern.image / 255 if pattern.image.dtype == np.uint8 else pattern.image
-        write_picture(folder / name, np.repeat(light[..., None], 3, axis=2), encoding=encoding, bits=8)
+        write_picture(folder / name, light if light.ndim == 3 else np.repeat(light[..., None], 3, axis=2), encoding=encoding, bits=8)
         entries.append({"file": name, "id": pattern.id, "fields": dict(pattern.fields)})
-    text = json.dumps({"size": list(patterns[0].image.shape[::-1]), "encoding": encoding, "patterns": entries}, indent=1)
+    text = json.dumps({"size": list(patterns[0].image.shape[1::-1]), "encoding": encoding, "patterns": entries}, indent=1)
     write_bytes(folder / LIST, text.encode() + b"\n")
     progress(1.0, f"{len(patterns)} patterns")

@@ -14,7 +14,18 @@ from types import MappingProxyType
 import bpy
 
 from ..options import Option, Value
-from . import calibration, depth_sensor, gray_code, laser_scanner, phase_shift, shadow_array, stereo_pair, turntable, voxel_coloring
+from . import (
+    calibration,
+    color_stripes,
+    depth_sensor,
+    gray_code,
+    laser_scanner,
+    phase_shift,
+    shadow_array,
+    stereo_pair,
+    turntable,
+    voxel_coloring,
+)
 from .objects import Subject
 
 Build = Callable[[bpy.types.Scene, bpy.types.Collection, Subject, Mapping[str, Value]], None]
@@ -57,6 +68,8 @@ PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset
            phase_shift.OPTIONS, phase_shift.build),
     Preset("depth-sensor", "Depth Sensor", "A turning table before a camera and a projector of pseudo-random dots, close together",
            depth_sensor.OPTIONS, depth_sensor.build),
+    Preset("color-stripes", "Colour Stripes", "A turning table before a camera and a projector of coloured stripes, one picture a pose",
+           color_stripes.OPTIONS, color_stripes.build),
     Preset("calibration", "Calibration", "A board in many poses before a camera and a projector, then on the turning table; no object",
            calibration.OPTIONS, calibration.build),
     Preset("voxel-coloring", "Voxel Coloring", "Cameras above an object that stands still in even light, as voxel coloring needs them",

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -33,7 +33,7 @@ class _Atlas:
 
     Parameters
     ----------
-    image : (h, w) array
+    image : (h, w) or (h, w, 3) array
         Row 0 at the top; float, or 8-bit.
     place : (n,) int array
         Where each pattern is, counted in tiles from the top.
@@ -66,9 +66,12 @@ def show_patterns(light: bpy.types.Light, patterns: Sequence[Pattern], shown: Se
     """
     size = projector.optics_of(light).size
     for pattern in patterns:
-        if pattern.image.shape != size[::-1]:
+        if pattern.image.shape[:2] != size[::-1]:
             raise ScanstageError(f"projector {light.name!r}: pattern {pattern.id} is {pattern.image.shape[1]}x{pattern.image.shape[0]}, "
                                  f"the projector {size[0]}x{size[1]}; make patterns of its size")
+    if any(pattern.image.ndim == 3 for pattern in patterns):
+        patterns = [replace(one, image=np.broadcast_to(one.image if one.image.ndim == 3 else one.image[..., None], (*size[::-1], 3)))
+                    for one in patterns]
     atlas = _atlas_of_lines(patterns, size) or _atlas_of_pictures(patterns, size)
     projector.clear(light)
     tree = light.node_tree
@@ -132,7 +135,7 @@ def _atlas_of_lines(patterns: Sequence[Pattern], size: tuple[int, int]) -> _Atla
         return None
     order = np.argsort(~across, kind="stable")
     lines = [patterns[i].image[0] if across[i] else patterns[i].image[:, 0] for i in order]
-    image = np.zeros((len(lines), max(size)), np.result_type(*lines))
+    image = np.zeros((len(lines), max(size), *lines[0].shape[1:]), np.result_type(*lines))
     for row, line in zip(image, lines, strict=True):
         row[:len(line)] = line if line.dtype == image.dtype else line / np.iinfo(line.dtype).max
         row[len(line):] = row[len(line) - 1]  # no pixel at the picture's edge is blended with what lies beyond
@@ -166,11 +169,11 @@ def _is_binary(values: np.ndarray) -> bool:
 
 def _new_image(name: str, values: np.ndarray) -> bpy.types.Image:
     """Return values as an image of Blender's, kept in the file, whose pixels are read as numbers and not as colours."""
-    height, width = values.shape
+    height, width = values.shape[:2]
     is_float = values.dtype.kind == "f"
     image = ownership.mark(bpy.data.images.new(f"{name} Patterns", width, height, is_data=True, float_buffer=is_float))
     pixels = np.ones((height, width, 4), np.float32)
-    pixels[..., :3] = values[::-1, :, None] / (1.0 if is_float else np.iinfo(values.dtype).max)
+    pixels[..., :3] = values[::-1].reshape(height, width, -1) / (1.0 if is_float else np.iinfo(values.dtype).max)
     image.pixels.foreach_set(pixels.ravel())
     image.pack()
     return image

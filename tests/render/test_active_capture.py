@@ -55,6 +55,19 @@ def test_a_pattern_and_its_inverse_are_white_together_and_the_alpha_is_the_objec
             assert (np.abs(both - pictures["white"][0]) > 1e-4).any(axis=-1).mean() < 0.002
 
 
+def test_each_channel_of_coloured_stripes_is_dark_or_what_it_is_under_its_own_primary(empty_scene, tmp_path):
+    staging.build(empty_scene, "color-stripes", "knot", {**SMALL, "views": 1, "projector_x": 64, "projector_y": 48, "primaries": True})
+    list(capture_frames(empty_scene, tmp_path))
+    pictures = {frame.pattern: read_picture(tmp_path / frame.image, "linear")[0] for frame in read_capture(tmp_path).frames}
+    assert not pictures["black"].any()
+    for channel, name in enumerate(("red", "green", "blue")):
+        own, stripes = (pictures[id][..., channel] for id in (f"primary-{name}", "color-stripes-column-00"))
+        assert not np.delete(pictures[f"primary-{name}"], channel, axis=-1).any()
+        lit = own > 0.01
+        on = np.abs(stripes - own) < 1e-3
+        assert 0.1 < on[lit].mean() < 0.9 and (on | (stripes < 1e-3))[lit].all()
+
+
 def change_pattern(scene, made):
     value = made.data.node_tree.animation_data.action.layers[0].strips[0].channelbags[0].fcurves[0].keyframe_points[1]
     value.co[1] += 1

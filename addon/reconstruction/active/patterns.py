@@ -16,6 +16,8 @@ taken under it. Decoders read the fields alone: they do not care who showed the 
 | ``point-grid`` | ``spacing``, ``width`` |
 | ``checker`` | ``cell``, ``step``, ``steps`` |
 | ``speckle`` | ``dot``, the side of a dot in pixels, ``density``, ``seed`` |
+| ``color-stripes`` | ``axis``, ``stripes``, their ``width``, the ``start`` of the first and the ``shift`` of the frame, in pixels |
+| ``primary`` | ``channel``: 0, 1 or 2 for red, green or blue, everything on |
 
 ``axis`` is what the code counts: ``column`` or ``row``. ``projector`` may name the projector's id, which a capture set with
 several needs.
@@ -31,6 +33,7 @@ import numpy as np
 from ...errors import ScanstageError
 from ...options import Option, Unit, Value, resolve
 from .speckle_code import speckle_image
+from .stripe_code import EDGES, WINDOW, stripe_colors
 
 AXES = ("column", "row")
 LARGEST_SIDE = 1 << 16  # codes are 16-bit numbers
@@ -47,8 +50,8 @@ class Pattern:
         Unique in its set; letters, digits, ``-`` and ``.``.
     fields : mapping
         What it is, in JSON values: see above.
-    image : (height, width) uint8 or float32 array
-        Linear light; 255, or 1.0, is the projector's full power. Read-only where it repeats one row or column.
+    image : (height, width) or (height, width, 3) uint8 or float32 array
+        White, or colours. Linear light; 255, or 1.0, is the projector's full power. Read-only where it repeats one row or column.
     """
 
     id: str
@@ -224,6 +227,48 @@ def speckle(size: tuple[int, int], *, dot: int = 3, density: float = 0.3, seed: 
     return (Pattern("speckle", fields, speckle_image(size, fields)),)
 
 
+def color_stripes(size: tuple[int, int], *, axis: str = "column", width: int = 8, frames: int = 1,
+                  primaries: bool = False) -> tuple[Pattern, ...]:
+    """Return stripes of colour whose edges are a De Bruijn sequence (Zhang, Curless & Seitz, 2002): see `stripe_code`.
+
+    There are as many as the projector has room for, at most 126, in its middle; the outermost reach its borders.
+
+    Parameters
+    ----------
+    size : (int, int)
+    axis : {'column', 'row'}
+        What the stripes number; it must cross the epipolar lines.
+    width : int
+        Of a stripe, in pixels.
+    frames : int
+        Each shifted by one more pixel.
+    primaries : bool
+        Whether red, green and blue alone, and black, follow: they tell cross-talk of the channels and the surface's colour.
+
+    Raises
+    ------
+    ScanstageError
+        There is no room for the code's shortest word.
+    """
+    length = size[AXES.index(axis)]
+    stripes = min(EDGES + 1, length // width)
+    if stripes <= WINDOW:
+        raise ScanstageError(f"{stripes} stripes of {width} pixels fit on the projector's {length} {axis}s, which are too few to tell "
+                             "apart; use narrower stripes")
+    colors = (255 * stripe_colors(stripes)).astype(np.uint8)
+    start, patterns = (length - stripes * width) // 2, []
+    for shift in range(frames):
+        number = np.clip((np.arange(length) - start - shift) // width, 0, stripes - 1)
+        fields = {"kind": "color-stripes", "axis": axis, "stripes": stripes, "width": width, "start": start, "shift": shift}
+        patterns.append(Pattern(f"color-stripes-{axis}-{shift:02d}", fields, _along(size, axis, colors[number])))
+    if not primaries:
+        return tuple(patterns)
+    solid = [Pattern(f"primary-{name}", {"kind": "primary", "channel": channel},
+                     np.broadcast_to(np.eye(3, dtype=np.uint8)[channel] * np.uint8(255), (*size[::-1], 3)))
+             for channel, name in enumerate(("red", "green", "blue"))]
+    return (*patterns, *solid, _white_and_black(size)[1])
+
+
 def _gray_patterns(size: tuple[int, int], axis: str, finest: int, inverses: bool) -> list[Pattern]:
     length = size[AXES.index(axis)]
     bits = code_bits(length)
@@ -262,7 +307,7 @@ def _white_and_black(size: tuple[int, int]) -> tuple[Pattern, Pattern]:
 
 def _along(size: tuple[int, int], axis: str, line: np.ndarray) -> np.ndarray:
     """Return the (height, width) image that repeats a line of values over the other axis, without a copy of each."""
-    return np.broadcast_to(line if axis == "column" else line[:, None], size[::-1])
+    return np.broadcast_to(line if axis == "column" else line[:, None], (*size[::-1], *line.shape[1:]))
 
 
 def _levels(on: np.ndarray) -> np.ndarray:
@@ -330,4 +375,13 @@ PATTERN_SETS = {entry.name: entry for entry in (
         Option("density", 0.3, "Share of the places that are lit", minimum=0.05, maximum=0.95),
         Option("seed", 1, "Another number is another pattern", minimum=0, maximum=1_000_000),
     ), speckle),
+    PatternSet("color-stripes", "Colour Stripes", "Stripes of colour that are told by the edges beside them, all in one picture", (
+        Option("axis", "column", "What the stripes number", choices={"column": "columns: for a projector beside the camera",
+                                                                      "row": "rows: for one above or below it"}),
+        Option("width", 8, "Width of a stripe; the camera should see at least three pixels of it", unit=Unit.PIXELS, minimum=2,
+               maximum=1024),
+        Option("frames", 1, "Pictures a pose, each with the stripes shifted by one pixel: from two on, edges are told by when they pass",
+               minimum=1, maximum=64),
+        Option("primaries", False, "Show red, green, blue and black alone, too: cross-talk and the surface's colour are then taken out"),
+    ), color_stripes),
 )}
