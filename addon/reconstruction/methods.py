@@ -19,7 +19,7 @@ from ..errors import ScanstageError
 from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
-from .active import laser_stripe, structured_light
+from .active import desk_shadow, laser_stripe, structured_light
 from .active.measurement import measured_bounds, points_to_voxels
 from .geometry import VoxelGrid
 from .mesh import TriangleMesh
@@ -110,6 +110,8 @@ METHODS = {method.name: method for method in (
            ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_phase_shift),
     Method("laser-stripe", "Laser Stripe", "Points where the camera sees a stripe, or a point, of light that sweeps over the object",
            ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, measure=laser_stripe.measure_laser_stripe),
+    Method("desk-shadow", "Desk Shadow", "Points where the shadow of a stick, swept over an object on a desk, is seen to arrive",
+           ("patterns",), desk_shadow.OPTIONS, points_to_voxels, measured_bounds, measure=desk_shadow.measure_desk_shadow),
 )}
 
 
