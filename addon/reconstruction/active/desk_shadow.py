@@ -124,7 +124,7 @@ def _strip(item: object, height: int, place: str) -> Strip:
     if not (isinstance(rows, (list, tuple)) and len(rows) == 2 and all(type(row) is int for row in rows)
             and 0 <= rows[0] <= rows[1] - _LEAST_EDGES and rows[1] <= height):
         raise ScanstageError(f"{place} must have rows [first, end] with 0 <= first, first + {_LEAST_EDGES} <= end <= {height}")
-    if not (isinstance(plane, (list, tuple)) and len(plane) == 4 and all(type(value) in (int, float) for value in plane)
+    if not (isinstance(plane, (list, tuple)) and len(plane) == 4 and all(isinstance(value, float | int) for value in plane)
             and np.isfinite(plane).all() and np.linalg.norm(plane[:3]) > 0):
         raise ScanstageError(f"{place} must have a plane [nx, ny, nz, d]")
     return Strip((rows[0], rows[1]), np.array(plane, np.float64) / np.linalg.norm(plane[:3]))
