@@ -101,12 +101,27 @@ def calibrate(capture: Path, out: Path, *, options: Mapping[str, Value] | None =
 def _calibrated(capture: Capture, rig: Rig, lasers: Mapping[str, dict], lights: Mapping[str, dict]) -> Capture:
     """Return the set with what was found in the place of what it had."""
     devices = {name: device.moved(rig.world) for name, device in rig.devices.items()}
-    patterns = {id: {**fields, "plane": lasers[id]["plane"]} if id in lasers else fields for id, fields in capture.patterns.items()}
+    patterns = {id: {**fields, "plane": lasers[id]["plane"]} if id in lasers else _on_boards(fields, rig)
+                for id, fields in capture.patterns.items()}
     return replace(capture, patterns=patterns,
                    cameras={id: devices.get(f"camera {id}", camera) for id, camera in capture.cameras.items()},
                    projectors={id: devices.get(f"projector {id}", one) for id, one in capture.projectors.items()},
                    lights={id: replace(light, position=np.array(lights[id]["position"])) if id in lights else light
                            for id, light in capture.lights.items()})
+
+
+def _on_boards(fields: Mapping[str, object], rig: Rig) -> Mapping[str, object]:
+    """Return a shadow's pattern with the planes, in the world, of those strips that name a board which lay there."""
+    if not isinstance(fields.get("strips"), list):
+        return fields
+    to_world = np.linalg.inv(rig.world)
+    poses = {name.rpartition("/")[0]: to_world @ pose for name, pose in rig.poses.items()}
+
+    def placed(strip: object) -> object:
+        pose = poses.get(str(strip.get("board_pose"))) if isinstance(strip, dict) else None
+        return strip if pose is None else {**strip, "plane": [*pose[:3, 2].tolist(), float(pose[:3, 2] @ pose[:3, 3])]}
+
+    return {**fields, "strips": [placed(strip) for strip in fields["strips"]]}
 
 
 def _devices(capture: Capture) -> dict[str, Camera]:

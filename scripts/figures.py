@@ -6,6 +6,7 @@
     python3 scripts/figures.py photographs     two sets of photographs: how well the hull fits their masks
     python3 scripts/figures.py structured-light  Gray code, phase and laser, simulated, and one real scan
     python3 scripts/figures.py calibration     camera, projector and turntable, rendered (minutes), and photographs of a board
+    python3 scripts/figures.py desk-shadow     the shadow of a stick on a desk, simulated, and a photographed bowl
     python3 scripts/figures.py                 the first two
 
     python3 scripts/figures.py held-back       methods of colour: what a camera that took no part sees (minutes)
@@ -37,6 +38,7 @@ import tempfile
 from pathlib import Path
 
 import color_figures
+import desk_figures
 import one_shot_figures
 import probability_figures
 import session
@@ -59,7 +61,8 @@ def main():
     tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs],
               "structured-light": [active], "calibration": [calibration]}
     tables |= {name: [print_table] for name, print_table in {**color_figures.TABLES, **probability_figures.TABLES,
-                                                              **shadow_figures.TABLES, **one_shot_figures.TABLES}.items()}
+                                                              **shadow_figures.TABLES, **one_shot_figures.TABLES,
+                                                              **desk_figures.TABLES}.items()}
     tables |= {"colour": list(color_figures.TABLES.values()), "probability": list(probability_figures.TABLES.values()),
                "shadows": list(shadow_figures.TABLES.values())}
     parser.add_argument("table", nargs="?", choices=tables, default="both")

@@ -242,3 +242,22 @@ def test_the_desk(real_captures, tmp_path):
     lamp = read_capture(tmp_path / "out").lights["lamp"].moved(report["board_poses"][name])
     # In a simulation, 95 % of such lamps are within 1.5 % of their distance, here 0.55 m; the noted one has such an error, too
     np.testing.assert_allclose(lamp.position, noted["light_source_world_mm"], atol=2 * 0.015 * 550)
+
+
+def test_a_desk_is_imported_calibrated_and_measured_as_one_set(real_captures, tmp_path):
+    """The photographed desk: its lamp and the plane under its strips come from its own pictures."""
+    source = real_captures("desk_shadow_bowl")
+    import_capture("desk", source, tmp_path / "set")
+    report = calibrate(tmp_path / "set", tmp_path / "out")
+    after, pose = read_capture(tmp_path / "out"), np.array(report["board_poses"]["calib_1/1"])
+    for strip in after.patterns["shadow"]["strips"]:
+        np.testing.assert_allclose(strip["plane"], [*pose[:3, 2], pose[:3, 2] @ pose[:3, 3]])
+    assert report["devices"]["camera camera"]["rms"] <= 0.7
+    assert len([frame for frame in after.frames if frame.pattern == "shadow"]) == len(list((source / "bowl").iterdir()))
+
+
+def test_a_desk_without_notes_is_refused(tmp_path):
+    (tmp_path / "photos").mkdir()
+    with pytest.raises(ScanstageError, match="photos: has no annotations.json"):
+        import_capture("desk", tmp_path / "photos", tmp_path / "set")
+    assert not (tmp_path / "set").exists()

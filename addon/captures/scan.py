@@ -141,6 +141,10 @@ def _projected(folder: Path, capture: Capture) -> dict[tuple[str, bytes], tuple[
         fields = dict(capture.patterns[frame.pattern])
         if "plane" in fields:
             fields["plane"] = _moved_plane(fields["plane"], motion, f"{FILE_NAME}: patterns.{frame.pattern}.plane")
+        if isinstance(fields.get("strips"), list):
+            place = f"{FILE_NAME}: patterns.{frame.pattern}.strips"
+            fields["strips"] = [{**strip, "plane": _moved_plane(strip["plane"], motion, f"{place}[{number}].plane")}
+                                if isinstance(strip, dict) and "plane" in strip else strip for number, strip in enumerate(fields["strips"])]
         id = _projector_of(capture, frame, fields)
         projector = None if id is None else capture.projectors[id].moved(motion)
         light = capture.lights[frame.lights[0]].moved(motion) if len(frame.lights) == 1 else None

@@ -19,7 +19,7 @@ from ..errors import ScanstageError
 from ..memory import available_memory, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
-from .active import color_stripes, laser_stripe, speckle, stereo, structured_light
+from .active import color_stripes, desk_shadow, laser_stripe, speckle, stereo, structured_light
 from .active.measurement import measured_bounds, points_to_voxels
 from .geometry import VoxelGrid
 from .mesh import TriangleMesh
@@ -108,7 +108,7 @@ METHODS = {method.name: method for method in (
            ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_gray_code),
     Method("phase-shift", "Phase Shift", "Points where the camera sees a projector's sinusoids, to a small part of a column",
            ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_phase_shift),
-    Method("color-stripes", "Colour Stripes", "Points where the camera sees edges of coloured stripes, all projected at once",
+    Method("color-stripes", "Color Stripes", "Points where the camera sees edges of coloured stripes, all projected at once",
            ("patterns",), color_stripes.OPTIONS, points_to_voxels, measured_bounds, measure=color_stripes.measure_color_stripes),
     Method("laser-stripe", "Laser Stripe", "Points where the camera sees a stripe, or a point, of light that sweeps over the object",
            ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, measure=laser_stripe.measure_laser_stripe),
@@ -116,6 +116,8 @@ METHODS = {method.name: method for method in (
            ("silhouettes", "colour"), stereo.OPTIONS, points_to_voxels, measured_bounds, measure=stereo.measure_stereo),
     Method("speckle", "Speckle", "Depth maps from one picture of a projector's pseudo-random dots each, as a depth sensor takes them",
            ("patterns",), speckle.OPTIONS, points_to_voxels, measured_bounds, measure=speckle.measure_speckle),
+    Method("desk-shadow", "Desk Shadow", "Points where the shadow of a stick, swept over an object on a desk, is seen to arrive",
+           ("patterns",), desk_shadow.OPTIONS, points_to_voxels, measured_bounds, measure=desk_shadow.measure_desk_shadow),
 )}
 
 

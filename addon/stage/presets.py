@@ -68,7 +68,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType({preset.name: preset for preset
            phase_shift.OPTIONS, phase_shift.build),
     Preset("depth-sensor", "Depth Sensor", "A turning table before a camera and a projector of pseudo-random dots, close together",
            depth_sensor.OPTIONS, depth_sensor.build),
-    Preset("color-stripes", "Colour Stripes", "A turning table before a camera and a projector of coloured stripes, one picture a pose",
+    Preset("color-stripes", "Color Stripes", "A turning table before a camera and a projector of coloured stripes, one picture a pose",
            color_stripes.OPTIONS, color_stripes.build),
     Preset("calibration", "Calibration", "A board in many poses before a camera and a projector, then on the turning table; no object",
            calibration.OPTIONS, calibration.build),

@@ -19,6 +19,7 @@ from ...reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..placing import check_place, put_in_place
 from ..schema import Capture
 from .board import BOARD_OPTIONS, read_board
+from .desk import read_desk
 from .middlebury import MIDDLEBURY_OPTIONS, read_middlebury
 from .opencv import read_opencv
 from .slstudio import read_slstudio
@@ -64,6 +65,8 @@ IMPORTERS = {importer.name: importer for importer in (
              BOARD_OPTIONS, read_board),
     Importer("slstudio", "SLStudio", "The calibration of a camera and a projector (Kc kc Kp kp Rp Tp) with the frames of a Gray-code scan",
              (), read_slstudio),
+    Importer("desk", "Desk and stick", "A folder of calib/, the frames of a stick's shadow and annotations.json, to be calibrated",
+             (), read_desk),
 )}
 
 

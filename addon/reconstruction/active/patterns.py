@@ -375,7 +375,7 @@ PATTERN_SETS = {entry.name: entry for entry in (
         Option("density", 0.3, "Share of the places that are lit", minimum=0.05, maximum=0.95),
         Option("seed", 1, "Another number is another pattern", minimum=0, maximum=1_000_000),
     ), speckle),
-    PatternSet("color-stripes", "Colour Stripes", "Stripes of colour that are told by the edges beside them, all in one picture", (
+    PatternSet("color-stripes", "Color Stripes", "Stripes of colour that are told by the edges beside them, all in one picture", (
         Option("axis", "column", "What the stripes number", choices={"column": "columns: for a projector beside the camera",
                                                                       "row": "rows: for one above or below it"}),
         Option("width", 8, "Width of a stripe; the camera should see at least three pixels of it", unit=Unit.PIXELS, minimum=2,
