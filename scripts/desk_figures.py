@@ -40,7 +40,8 @@ def simulated(progress):
     ball, desk, lamp_by_pencils, strips = simulation.BALL, simulation.desk, simulation.lamp_by_pencils, simulation.strips
 
     def measured(scene, **sweep):
-        return METHODS["desk-shadow"].measure(Scan((scene.view(scene.sweep(frames=FRAMES, **sweep)),)), progress=progress).cloud.positions
+        scan = Scan((scene.view(scene.sweep(frames=FRAMES, **sweep)),))
+        return METHODS["desk-shadow"].measure(scan, clearance=-1.0, progress=progress).cloud.positions
 
     def on_dome(points):
         away = np.linalg.norm(points - ball.centre, axis=1) - ball.radius
@@ -76,7 +77,7 @@ def photographed(progress):
         import_capture("desk", source, before, progress=progress)
         report = calibrate(before, after, progress=progress)
         scan = load_scan(after, silhouettes=False)
-        points = METHODS["desk-shadow"].measure(scan, contrast=CONTRAST, progress=progress).cloud.positions
+        points = METHODS["desk-shadow"].measure(scan, contrast=CONTRAST, clearance=-1.0, progress=progress).cloud.positions
     on_desk = np.array(next(pose for name, pose in report["board_poses"].items() if name.startswith("calib_1/")))
     camera = scan.views[0].camera.moved(on_desk)
     points = (points - on_desk[:3, 3]) @ on_desk[:3, :3]

@@ -69,7 +69,7 @@ def depth_sensor(depth: float) -> DepthSensor:
     """Measure a wall, a little tilted so that its depths lie anywhere between the sensor's steps."""
     normal = np.array([np.sin(TILT), -np.cos(TILT), 0.0])
     wall = Wall(tuple(normal), -depth * float(np.cos(TILT)))
-    cloud = METHODS["speckle"].measure(Scan((_speckle_view([wall]),), _sensor_box(depth))).cloud
+    cloud = METHODS["speckle"].measure(Scan((_speckle_view([wall]),), box_about(depth))).cloud
     points = cloud.positions.astype(np.float64)
     off = (points @ normal - wall.offset) / normal[1]  # along the axis
     levels, count = np.unique(np.round(points[:, 1], 6), return_counts=True)
@@ -84,17 +84,22 @@ def sensor_shadow(near: float = 1.0, far: float = 1.5) -> tuple[float, float]:
     """Return how wide the hole beside a near plate is in pixels, measured, and by the formula ``f b (1 / near - 1 / far)``."""
     surfaces = [Plate(near, -0.1, 0.1), Wall((0.0, -1.0, 0.0), -far)]
     view = _speckle_view(surfaces)
-    measured = METHODS["speckle"].measure(Scan((view,), _sensor_box(1.2)))
+    measured = METHODS["speckle"].measure(Scan((view,), box_about(1.2)))
     depths = measured.depths[0].depths[100:140]
     edge = int(round(159.5 - 580 * 0.1 / near))  # of the plate, away from the projector
     hole = (depths[:, edge - 60:edge] == 0).sum(axis=1)
     return float(np.median(hole)), 580 * 0.075 * (1 / near - 1 / far)
 
 
-def _speckle_view(surfaces):
-    pattern = make_patterns("speckle", DOTS.size, {"dot": 3})
-    return projected_view(SENSOR, DOTS, pattern, surfaces, samples=8, **NOISE)
+def wall_view(depth: float, **how):
+    """Return a view of a wall across the axis under dots."""
+    return _speckle_view([Wall((0.0, -1.0, 0.0), -depth)], **how)
 
 
-def _sensor_box(depth: float) -> np.ndarray:
+def _speckle_view(surfaces, **how):
+    return projected_view(SENSOR, DOTS, make_patterns("speckle", DOTS.size, {"dot": 3}), surfaces, samples=8, **{**NOISE, **how})
+
+
+def box_about(depth: float) -> np.ndarray:
+    """Return the (2, 3) working volume of a sensor that looks for things at about a depth."""
     return np.array([[-depth, 0.6 * depth, -depth], [depth, 1.6 * depth, depth]])

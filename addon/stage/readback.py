@@ -25,6 +25,7 @@ from .evaluated import render_mesh
 from .laser import is_laser, laser_fields
 from .projection import pattern_of
 from .projector import is_projector, optics_of
+from .stick import stick_fields
 from .timeline import light_is_on
 
 _TO_OPENCV = np.diag((1.0, -1.0, -1.0))  # Blender's cameras look along -z with y up
@@ -295,6 +296,9 @@ def _shown(scene: bpy.types.Scene, projectors: _Devices, patterns: _Devices) -> 
             shown.append((source, id, {**fields, "projector": projectors.id_of(source, projector_of(scene, source))}))
         elif is_laser(source) and light_is_on(source.data):
             shown.append((source, ownership.device_id(source), laser_fields(source)))
+    for member in ownership.with_role(ownership.require_stage(scene), "stick"):
+        if (passing := stick_fields(member, scene.frame_current)) is not None:
+            shown.append((member, *passing))
     if len(shown) > 1:
         raise ScanstageError(f"frame {scene.frame_current} of scene {scene.name!r}: {shown[0][0].name!r} and {shown[1][0].name!r} shine at "
                              "once, which no decoder can tell apart: let one of them be dark")

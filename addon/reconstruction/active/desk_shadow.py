@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from ...errors import ScanstageError
-from ...options import Option
+from ...options import Option, Unit
 from ...progress import Progress, silent
 from ..geometry import Camera
 from ..scan import ProjectedPicture, Scan, View
@@ -38,8 +38,11 @@ OPTIONS = (
            maximum=1.0),
     Option("shadow_planes", "auto", "How the shadow's planes are found", choices=SOURCES),
     Option("noise", NOISE, "Noise of the pictures, as a share of white, for the expected error of the points", minimum=0.0, maximum=1.0),
+    Option("clearance", 0.0, "Points nearer than this to the desk, or to a wall that is named, are left out; 0 is one percent of its "
+           "distance from the camera, below 0 keeps all", unit=Unit.LENGTH, minimum=-1.0, maximum=1e6),
     FILL,
 )
+_CLEARANCE = 0.01
 _LEAST_EDGES = 2  # in each strip
 _TURN = np.sin(np.radians(2.0))  # least angle between the edges on two planes
 
@@ -61,7 +64,7 @@ class Strip:
 
 
 def measure_desk_shadow(scan: Scan, *, contrast: float = LEAST_CONTRAST, shadow_planes: str = "auto", noise: float = NOISE,
-                        fill: str = "shell", progress: Progress = silent) -> Measurement:
+                        clearance: float = 0.0, fill: str = "shell", progress: Progress = silent) -> Measurement:
     """Measure points by the shadow of a stick.
 
     The frames of one sweep share a pattern ``{"kind": "shadow", "sweep": number, "strips": [{"rows": [first, end], "plane": [nx, ny, nz,
@@ -80,7 +83,8 @@ def measure_desk_shadow(scan: Scan, *, contrast: float = LEAST_CONTRAST, shadow_
             progress((number + step / len(sweeps)) / len(scan.views), f"Following the shadow in view {view.name}")
             found.append(_measured_sweep(view, pictures, contrast, shadow_planes, noise))
         if found:
-            parts.append(_merged(view, number, found))
+            planes = [strip.plane for strip in strips_of(sweeps[0][0], view.camera.size[1])]
+            parts.append(_merged(view, number, found, planes, clearance))
     if not parts:
         raise ScanstageError("no frame of the capture shows the sweep of a shadow, and desk-shadow needs one; capture a sweep")
     progress(1.0, "Measured")
@@ -232,8 +236,12 @@ def _spanned_by_edges(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.append(normal, normal @ np.concatenate((first, second)).mean(axis=0))
 
 
-def _merged(view: View, number: int, found: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Measurement:
-    """Return the points of a view's sweeps: their distances' mean, weighted by one over the expected variance."""
+def _merged(view: View, number: int, found: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], planes: Sequence[np.ndarray],
+            clearance: float) -> Measurement:
+    """Return the points of a view's sweeps: their distances' mean, weighted by one over the expected variance.
+
+    Points on the known planes, or behind them, are left out.
+    """
     total, weights, reason = np.zeros(found[0][0].shape), np.zeros(found[0][0].shape), None
     for distance, deviation, own in found:
         weight = 1 / deviation ** 2
@@ -245,4 +253,9 @@ def _merged(view: View, number: int, found: Sequence[tuple[np.ndarray, np.ndarra
     weight = weights[rows, columns]
     rays = rays_through(view.camera, np.stack((columns, rows), axis=-1))
     points = view.camera.centre + (total[rows, columns] / weight)[:, None] * rays
-    return measurement_of(view, number, points, (rows, columns), 1 / np.sqrt(weight), reason, None)
+    clear = np.ones(len(points), bool)
+    for plane in planes if clearance >= 0 else ():
+        away = plane[:3] @ view.camera.centre - plane[3]
+        clear &= np.sign(away) * (points @ plane[:3] - plane[3]) >= (clearance or _CLEARANCE * abs(away))
+    reason[rows[~clear], columns[~clear]] = Reason.UNLIT
+    return measurement_of(view, number, points[clear], (rows[clear], columns[clear]), 1 / np.sqrt(weight[clear]), reason, None)

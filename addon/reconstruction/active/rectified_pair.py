@@ -21,6 +21,8 @@ from .triangulation import rays_through
 
 LARGEST_SIDE = 8192  # pixels of a rectified picture
 _BORDER_STEPS = 32  # points on each side of a picture's border: a lens bends it
+_LEAST_BASELINE = 1e-6  # of the working volume's distance
+_LEAST_SINE = 0.05  # of the angle between the baseline and where the two look
 _NEAREST = 0.02  # of the farthest depth: what is nearer to the devices is not looked for
 _SURROUNDINGS = 0.5  # of the distance: half of the box that is looked at where nothing gives a working volume
 
@@ -110,7 +112,8 @@ def rectify(first: Camera, second: Camera, box: np.ndarray, where: str) -> Recti
     forward = first.forward + second.forward
     x = along / baseline if baseline > 0 else along
     z = forward - (forward @ x) * x
-    if not np.linalg.norm(z) > 0.05 * np.linalg.norm(forward):
+    apart = baseline > _LEAST_BASELINE * float(np.linalg.norm(np.asarray(box).mean(axis=0) - first.centre))
+    if not (apart and np.linalg.norm(z) > _LEAST_SINE * np.linalg.norm(forward)):
         raise ScanstageError(f"{where}: its two devices stand in one place, or one behind the other, and cannot be rectified; check "
                              "their poses")
     z /= np.linalg.norm(z)

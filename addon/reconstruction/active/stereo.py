@@ -94,7 +94,7 @@ def match_views(view: View, number: int, other: View, box: np.ndarray, *, block:
     pictures = [_levels(one, camera, ideal) for one, camera, ideal in zip((view, other), cameras, (pair.first, pair.second), strict=True)]
     inside = rectified_picture(view.camera, pair.first, view.mask.astype(np.uint8), interpolation=cv2.INTER_NEAREST) > 0
     disparity = semi_global_disparity(*pictures, pair.disparities, block)
-    textured = local_deviation(pictures[0], block) >= texture
+    textured = local_deviation(pictures[0], inside, block) >= texture
     reason = np.where((disparity >= 0) & inside & textured, np.uint8(Reason.VALID), np.uint8(Reason.UNCERTAIN))
     points, reason = pair.points_seen(view.camera, disparity, reason)
     points, reason = points[view.mask[reason == Reason.VALID]], np.where(view.mask, reason, np.uint8(Reason.UNLIT))
@@ -115,10 +115,15 @@ def semi_global_disparity(first: np.ndarray, second: np.ndarray, disparities: in
     return np.where(found < 0, np.float32(-1), found)
 
 
-def local_deviation(picture: np.ndarray, block: int) -> np.ndarray:
-    """Return the (h, w) float32 standard deviation of a window's grey levels."""
-    grey = picture.astype(np.float32).mean(axis=2)
-    mean, square = (cv2.boxFilter(values, -1, (block | 1,) * 2) for values in (grey, grey * grey))
+def local_deviation(picture: np.ndarray, inside: np.ndarray, block: int) -> np.ndarray:
+    """Return the (h, w) float32 standard deviation of the grey levels in a window, of pixels inside the silhouette only.
+
+    The outline's contrast with the background is no texture of the surface.
+    """
+    weight = cv2.erode(inside.astype(np.float32), np.ones((3, 3), np.uint8))  # the outermost pixels show some background
+    grey = weight * picture.astype(np.float32).mean(axis=2)
+    count, mean, square = (cv2.boxFilter(values, -1, (block | 1,) * 2) for values in (weight, grey, grey * grey))
+    mean, square = (values / np.maximum(count, 1e-6) for values in (mean, square))
     return np.sqrt(np.maximum(square - mean * mean, 0))
 
 

@@ -19,7 +19,7 @@ BOX = 1.5 - np.sqrt(2) + 1e-3
 
 
 def measured(scene, *sweeps, **options):
-    return methods.METHODS["desk-shadow"].measure(Scan((scene.view(*sweeps),)), **options)
+    return methods.METHODS["desk-shadow"].measure(Scan((scene.view(*sweeps),)), **{"clearance": -1.0, **options})
 
 
 def errors(scene, cloud):
@@ -124,3 +124,12 @@ def test_without_a_lamp_one_plane_is_not_enough():
     scene = desk(camera=SMALL)
     with pytest.raises(ScanstageError, match="need a lamp whose position is known, or strips on two planes"):
         measured(scene, scene.sweep(frames=4, strips=strips(scene), light=None))
+
+
+def test_points_of_the_desk_are_left_out_unless_they_are_asked_for():
+    scene = desk(camera=SMALL)
+    sweep = scene.sweep(radius=0.01, frames=60, strips=strips(scene))
+    every, default = (measured(scene, sweep, clearance=clearance).cloud for clearance in (-1.0, 0.0))
+    least = 0.01 * scene.camera.centre[2]
+    assert (default.positions[:, 2] >= least).all()
+    assert len(default) == np.count_nonzero(every.positions[:, 2] >= least) < len(every)
