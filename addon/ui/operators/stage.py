@@ -17,6 +17,21 @@ from ..viewport import frame_stage
 from .requirements import has_stage
 
 
+def build_chosen(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
+    """Build the rig that the scene's settings choose, and return what ``operator`` is to return."""
+    settings = context.scene.scanstage
+    subject = {'BUILTIN': settings.builtin, 'SCENE': settings.subject,
+               'FILE': Path(bpy.path.abspath(settings.file))}[settings.source]
+    preset = PRESETS[settings.preset]
+    options = values_of(getattr(settings, field_name("preset", preset.name)), preset.options)
+    try:
+        staging.build(context.scene, preset.name, subject, options)
+    except ScanstageError as error:
+        operator.report({'ERROR'}, str(error))
+        return {'CANCELLED'}
+    return {'FINISHED'}
+
+
 class SCANSTAGE_OT_stage(bpy.types.Operator):
     """Build the rig round the object, in place of an earlier one"""
 
@@ -39,17 +54,7 @@ class SCANSTAGE_OT_stage(bpy.types.Operator):
         return idle(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        settings = context.scene.scanstage
-        subject = {'BUILTIN': settings.builtin, 'SCENE': settings.subject,
-                   'FILE': Path(bpy.path.abspath(settings.file))}[settings.source]
-        preset = PRESETS[settings.preset]
-        options = values_of(getattr(settings, field_name("preset", preset.name)), preset.options)
-        try:
-            staging.build(context.scene, preset.name, subject, options)
-        except ScanstageError as error:
-            self.report({'ERROR'}, str(error))
-            return {'CANCELLED'}
-        return {'FINISHED'}
+        return build_chosen(self, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Build, and bring the stage into view: it is small beside Blender's default cube."""
