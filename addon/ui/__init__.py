@@ -5,12 +5,13 @@
 - `properties`: what a scene remembers; the options come out of the tables of presets, methods and silhouettes.
 - `jobs`: long work as steps, with progress, Esc and a thread for what never touches Blender.
 - `operators`: adapters: gather what is set, call a function, report.
+- `adding`: Add > Scan Rig, with an entry for each preset.
 - `calibrating`: the operator that calibrates the devices of a capture set.
 - `panels`: draw, and nothing else.
 - `devices`: projectors and lasers by hand.
 """
 
-from . import calibrating, devices, operators, panels, properties
+from . import adding, calibrating, devices, operators, panels, properties
 
 
 def register() -> None:
@@ -20,10 +21,12 @@ def register() -> None:
     calibrating.register()
     panels.register()
     devices.register()
+    adding.register()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse."""
+    adding.unregister()
     devices.unregister()
     panels.unregister()
     calibrating.unregister()

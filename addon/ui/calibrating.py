@@ -15,7 +15,7 @@ from ..captures.schema import FILE_NAME
 from ..captures.store import read_capture
 from ..errors import ScanstageError
 from .jobs import Job, idle, in_thread
-from .operators import capture_folder
+from .operators.requirements import capture_folder
 
 
 class SCANSTAGE_OT_calibrate(Job, bpy.types.Operator):

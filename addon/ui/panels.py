@@ -45,8 +45,8 @@ class SCANSTAGE_PT_stage(_Panel, bpy.types.Panel):
         preset = PRESETS[settings.preset]
         _draw_options(layout, getattr(settings, field_name("preset", preset.name)), preset.options)
         row = layout.row(align=True)
-        row.operator(operators.SCANSTAGE_OT_stage.bl_idname, icon='SCENE_DATA')
-        row.operator(operators.SCANSTAGE_OT_remove_stage.bl_idname, text="", icon='TRASH')
+        row.operator(operators.stage.SCANSTAGE_OT_stage.bl_idname, icon='SCENE_DATA')
+        row.operator(operators.stage.SCANSTAGE_OT_remove_stage.bl_idname, text="", icon='TRASH')
         scene = context.scene
         stands = ownership.find_stage(scene) is not None
         _draw_state(layout, f"{scene.frame_end - scene.frame_start + 1} frames planned: scrub the timeline" if stands
@@ -61,23 +61,23 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = _split(self.layout), context.scene.scanstage
         layout.prop(settings, "capture_folder", placeholder=_DEFAULT_FOLDER)
-        layout.operator(operators.SCANSTAGE_OT_capture.bl_idname, icon='RENDER_ANIMATION')
+        layout.operator(operators.capture.SCANSTAGE_OT_capture.bl_idname, icon='RENDER_ANIMATION')
         _draw_state(layout, settings.capture_state or "no captures")
         header, body = layout.panel("scanstage_import", default_closed=True)
         header.label(text="Photographs")
         if body:
             _split(body).prop(settings, "import_format")
-            body.operator(operators.SCANSTAGE_OT_import.bl_idname, icon='IMPORT')
+            body.operator(operators.capture.SCANSTAGE_OT_import.bl_idname, icon='IMPORT')
         header, body = layout.panel("scanstage_silhouettes", default_closed=True)
         header.label(text="Silhouettes")
         if body:
             _draw_options(_split(body), settings.silhouettes, SILHOUETTE_OPTIONS)
-            body.operator(operators.SCANSTAGE_OT_show_masks.bl_idname, icon='IMAGE_ALPHA')
+            body.operator(operators.capture.SCANSTAGE_OT_show_masks.bl_idname, icon='IMAGE_ALPHA')
         header, body = layout.panel("scanstage_shadows", default_closed=True)
         header.label(text="Shadows")
         if body:
             _draw_options(_split(body), settings.shadows, SHADOW_OPTIONS)
-            body.operator(operators.SCANSTAGE_OT_show_shadows.bl_idname, icon='LIGHT')
+            body.operator(operators.capture.SCANSTAGE_OT_show_shadows.bl_idname, icon='LIGHT')
         header, body = layout.panel("scanstage_calibration", default_closed=True)
         header.label(text="Calibration")
         if body:
@@ -101,7 +101,7 @@ class SCANSTAGE_PT_reconstruct(_Panel, bpy.types.Panel):
             layout.prop(settings, "bounds_lower")
             layout.prop(settings, "bounds_upper")
         layout.prop(settings, "result_folder", placeholder=_DEFAULT_FOLDER)
-        layout.operator(operators.SCANSTAGE_OT_reconstruct.bl_idname, icon='MESH_ICOSPHERE')
+        layout.operator(operators.reconstruct.SCANSTAGE_OT_reconstruct.bl_idname, icon='MESH_ICOSPHERE')
 
 
 class SCANSTAGE_PT_result(_Panel, bpy.types.Panel):
@@ -116,9 +116,9 @@ class SCANSTAGE_PT_result(_Panel, bpy.types.Panel):
         if shown_probabilities(context.scene):
             layout.prop(settings, "least_probability")
             layout.prop(settings, "probability_colors")
-        layout.operator(operators.SCANSTAGE_OT_show_result.bl_idname, icon='HIDE_OFF')
-        layout.operator(operators.SCANSTAGE_OT_show_pictures.bl_idname, icon='IMAGE_DATA')
-        layout.operator(operators.SCANSTAGE_OT_export.bl_idname, icon='EXPORT')
+        layout.operator(operators.reconstruct.SCANSTAGE_OT_show_result.bl_idname, icon='HIDE_OFF')
+        layout.operator(operators.reconstruct.SCANSTAGE_OT_show_pictures.bl_idname, icon='IMAGE_DATA')
+        layout.operator(operators.reconstruct.SCANSTAGE_OT_export.bl_idname, icon='EXPORT')
 
 
 class SCANSTAGE_PT_evaluate(_Panel, bpy.types.Panel):
@@ -128,7 +128,7 @@ class SCANSTAGE_PT_evaluate(_Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.scanstage
-        layout.operator(operators.SCANSTAGE_OT_evaluate.bl_idname, icon='DRIVER_DISTANCE')
+        layout.operator(operators.evaluate.SCANSTAGE_OT_evaluate.bl_idname, icon='DRIVER_DISTANCE')
         if not settings.measures:
             _draw_state(layout, "not compared yet")
             return

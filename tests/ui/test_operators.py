@@ -240,11 +240,11 @@ def test_an_object_of_the_scene_is_staged_as_it_is(scene):
 
 
 def test_photographs_are_imported(scene, tmp_path, monkeypatch):
-    from addon.ui import operators
+    from addon.ui.operators import capture
 
     with pytest.raises(RuntimeError, match="nothing.xml"):
         bpy.ops.scanstage.import_captures(filepath=str(tmp_path / "nothing.xml"), format="opencv")
-    assert operators.capture_state(tmp_path) == "no captures"
+    assert capture.capture_state(tmp_path) == "no captures"
 
 
 def test_every_option_of_every_table_is_a_property(scene):

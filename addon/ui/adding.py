@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Add > Scan Rig: each preset with one click, round the active object if a mesh is selected."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import EnumProperty
+
+from ..stage import ownership
+from ..stage.presets import PRESETS
+from .jobs import idle
+from .operators.stage import build_chosen
+from .viewport import frame_stage
+
+
+class SCANSTAGE_OT_add_rig(bpy.types.Operator):
+    """Build a rig round the selected mesh, or round the object that the Stage panel names"""
+
+    bl_idname = "scanstage.add_rig"
+    bl_label = "Add Scan Rig"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    preset: EnumProperty(name="Rig", items=[(name, preset.label, preset.description) for name, preset in PRESETS.items()])
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """Say of each entry of the menu what its rig is."""
+        return PRESETS[properties.preset].description
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode != 'OBJECT':
+            cls.poll_message_set("Switch to Object Mode first")
+            return False
+        return idle(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        settings = context.scene.scanstage
+        before = settings.preset, settings.source, settings.subject
+        settings.preset = self.preset
+        if (chosen := _selected_mesh(context)) is not None:
+            settings.source, settings.subject = 'SCENE', chosen
+        done = build_chosen(self, context)
+        if 'FINISHED' not in done:
+            settings.preset, settings.source, settings.subject = before
+        return done
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Build, and bring the stage into view."""
+        done = self.execute(context)
+        if 'FINISHED' in done:
+            frame_stage(context)
+        return done
+
+
+class SCANSTAGE_MT_add_rig(bpy.types.Menu):
+    """The rigs of Scanstage"""
+
+    bl_idname = "SCANSTAGE_MT_add_rig"
+    bl_label = "Scan Rig"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        for name, preset in PRESETS.items():
+            self.layout.operator(SCANSTAGE_OT_add_rig.bl_idname, text=preset.label).preset = name
+
+
+def _selected_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
+    chosen = context.view_layer.objects.active
+    if chosen is None or chosen.type != 'MESH' or not chosen.select_get():
+        return None
+    return None if ownership.is_marked(chosen) else chosen  # what staging made goes with the rig that is replaced
+
+
+def _draw_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.menu(SCANSTAGE_MT_add_rig.bl_idname, icon='OUTLINER_OB_CAMERA')
+
+
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory((SCANSTAGE_OT_add_rig, SCANSTAGE_MT_add_rig))
+
+
+def register() -> None:
+    """Register the operator, and its menu in Add."""
+    _register_classes()
+    bpy.types.VIEW3D_MT_add.append(_draw_menu)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    bpy.types.VIEW3D_MT_add.remove(_draw_menu)
+    _unregister_classes()

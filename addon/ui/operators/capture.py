@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 Scanstage Authors
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The buttons that get pictures, and that show what is found in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+from bpy.props import EnumProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+
+from ...captures.importers import IMPORTERS, import_capture
+from ...captures.scan import load_scan
+from ...captures.store import read_capture
+from ...errors import ScanstageError
+from ...reconstruction.shadows import SHADOW_OPTIONS
+from ...reconstruction.silhouettes import SILHOUETTE_OPTIONS
+from ...render.capture import capture_frames
+from ..jobs import Job, idle, in_thread
+from ..masks import show_masks, show_shadows
+from ..properties import values_of
+from .requirements import capture_folder, has_captures, has_stage
+
+
+class SCANSTAGE_OT_capture(Job, bpy.types.Operator):
+    """Render every frame of the plan that is not on disk yet"""
+
+    bl_idname = "scanstage.capture"
+    bl_label = "Capture"
+    bl_options = {'REGISTER'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_stage(cls, context) and idle(cls, context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        settings = context.scene.scanstage
+        folder = capture_folder(context.scene)
+        try:
+            yield from capture_frames(context.scene, folder)
+        finally:
+            settings.capture_state = capture_state(folder)
+
+
+class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
+    """Turn calibrated photographs into a capture set"""
+
+    bl_idname = "scanstage.import_captures"
+    bl_label = "Import Captures"
+    bl_options = {'REGISTER'}
+
+    format: EnumProperty(name="Format", items=[(name, entry.label, entry.description) for name, entry in IMPORTERS.items()])
+    filter_glob: StringProperty(default="*.xml;*.yml;*.yaml;*.json;*.txt", options={'HIDDEN'})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return idle(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask for the file first; `execute` runs the import."""
+        self.format = context.scene.scanstage.import_format
+        return ImportHelper.invoke(self, context, event)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        settings = context.scene.scanstage
+        folder = capture_folder(context.scene)
+        yield from in_thread(import_capture, self.format, Path(self.filepath), folder)
+        settings.capture_state = capture_state(folder)
+
+
+class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
+    """Extract the silhouettes and show them as the image of each camera; look through the camera and scrub"""
+
+    bl_idname = "scanstage.show_masks"
+    bl_label = "Show Silhouettes"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_captures(cls, context) and idle(cls, context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        settings = context.scene.scanstage
+        folder = capture_folder(context.scene)
+        yield from in_thread(load_scan, folder, values_of(settings.silhouettes, SILHOUETTE_OPTIONS))
+        show_masks(context.scene, folder)
+
+
+class SCANSTAGE_OT_show_shadows(Job, bpy.types.Operator):
+    """Find the shadows and show them as the image of each camera: white in shadow, black lit, grey undecided"""
+
+    bl_idname = "scanstage.show_shadows"
+    bl_label = "Show Shadows"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_captures(cls, context) and idle(cls, context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        folder = capture_folder(context.scene)
+        yield from in_thread(load_scan, folder, silhouettes=False,
+                             shadow_options=values_of(context.scene.scanstage.shadows, SHADOW_OPTIONS))
+        show_shadows(context.scene, folder)
+
+
+def capture_state(folder: Path) -> str:
+    """Return in one phrase what a capture set holds."""
+    try:
+        capture = read_capture(folder, require_pictures=False)
+    except ScanstageError:
+        return "no captures"
+    return f"{len(capture.frames) - len(capture.missing)} of {len(capture.frames)} frames captured"
+
+
+CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_import, SCANSTAGE_OT_show_masks, SCANSTAGE_OT_show_shadows)
