@@ -38,6 +38,7 @@ import tempfile
 from pathlib import Path
 
 import color_figures
+import depth_figures
 import desk_figures
 import one_shot_figures
 import probability_figures
@@ -62,7 +63,7 @@ def main():
               "structured-light": [active], "calibration": [calibration]}
     tables |= {name: [print_table] for name, print_table in {**color_figures.TABLES, **probability_figures.TABLES,
                                                               **shadow_figures.TABLES, **one_shot_figures.TABLES,
-                                                              **desk_figures.TABLES}.items()}
+                                                              **desk_figures.TABLES, **depth_figures.TABLES}.items()}
     tables |= {"colour": list(color_figures.TABLES.values()), "probability": list(probability_figures.TABLES.values()),
                "shadows": list(shadow_figures.TABLES.values())}
     parser.add_argument("table", nargs="?", choices=tables, default="both")

@@ -40,9 +40,9 @@ OPTIONS = (
     rig.SAMPLES,
     rig.FIT,
 )
-_ROOM = 1.7  # times the distance from which the object would fill the picture
+_ROOM = 1.8  # times the distance from which the object would fill the picture
 _STRIP = (0.03, 0.10)  # of the picture's height, from its top and from its bottom
-_LAMP_ELEVATION = math.radians(45)
+_LAMP_ELEVATION = math.radians(50)
 _BETWEEN = 0.5  # of the way from the lamp to the desk: where the stick is
 _SHADOW = 0.12  # of the sweep: how wide the shadow is, at least
 _PENUMBRAS = 4.0  # that the shadow is wide, at least

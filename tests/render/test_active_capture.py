@@ -12,7 +12,9 @@ from addon.render.capture import capture_frames
 from addon.stage import ownership, projector, readback, staging
 
 SMALL = {"resolution_x": 48, "resolution_y": 36, "views": 2}
-RIGS = {"gray-code": {**SMALL, "projector_x": 32, "projector_y": 24}, "laser-scanner": {**SMALL, "lines": 5}}
+RIGS = {"gray-code": {**SMALL, "projector_x": 32, "projector_y": 24}, "laser-scanner": {**SMALL, "lines": 5},
+        "depth-sensor": {**SMALL, "projector_x": 32, "projector_y": 24},
+        "desk-shadow": {"resolution_x": 48, "resolution_y": 36, "steps": 8, "lamp_size": 0.0}}
 
 
 @pytest.mark.parametrize("name", RIGS)

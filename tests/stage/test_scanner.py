@@ -19,6 +19,8 @@ RIGS = {
     "laser-scanner": {**SMALL, "views": 2, "lines": 9},
     "gray-code": {**PROJECTOR, "views": 2},
     "phase-shift": {**PROJECTOR, "views": 2, "steps": 3},
+    "color-stripes": {**PROJECTOR, "views": 2, "width": 4},
+    "depth-sensor": {**PROJECTOR, "views": 2},
 }
 KINDS = ("objects", "meshes", "cameras", "lights", "materials", "node_groups", "actions", "worlds", "collections", "images")
 
