@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The table of experiments. A new one is one module and one line here."""
 
-from . import accuracy, concavities, cost, hull_2d, octree_count, shadow_carving, voxel_sizes
+from . import accuracy, all_methods, concavities, cost, hull_2d, octree_count, shadow_carving, voxel_sizes
 
 EXPERIMENTS = {module.EXPERIMENT.name: module.EXPERIMENT
-               for module in (hull_2d, octree_count, cost, voxel_sizes, accuracy, concavities, shadow_carving)}
+               for module in (hull_2d, octree_count, cost, voxel_sizes, accuracy, concavities, shadow_carving, all_methods)}
