@@ -57,7 +57,7 @@ def stereo(bar):
             bar.close()
             shares[method, surface] = row[1]
             print_line(surface, method, *row, said)
-    missed += shares["stereo", PLAIN] > 0.1  # nothing to match, and nothing made up
+    missed += shares["stereo", PLAIN] > 0.5 * shares["stereo", "textured"]  # little to match but shading
     missed += shares["stereo", "textured"] < 0.5
     missed += shares["speckle", PLAIN] < 0.5 or math.isnan(shares["color-stripes", PLAIN])
     return missed

@@ -41,6 +41,7 @@ from .volumetric.coloring import SurfaceColors, color_surface
 from .volumetric.item_buffer import reprojection_iou
 from .volumetric.polyhedral_hull import Solids
 from .volumetric.surface import Surface, extract_surface
+from .volumetric.suspects import suspicion
 from .volumetric.volume import BRICK, SparseVolume
 
 DEFAULT_VOXELS = 128
@@ -221,6 +222,8 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     warnings = list(found.pop("warnings"))
     if bounds is not None or scan.bounds is not None:
         warnings += _clipped(volume)
+    if "tolerance" in values:
+        warnings += suspicion(scan, grid, ious)
     counts = {"views": len(scan.views), "occupied": volume.count(), "surface": len(surface.voxels), "quads": len(surface.quads),
               "unseen": int(np.count_nonzero(colors.views == 0)), **found.pop("counts", {})}
     report = {
