@@ -137,17 +137,19 @@ def reference_picture(pair: RectifiedPair, projector: Camera, picture: Projected
     pattern = speckle_image(projector.size, fields).astype(np.float32) / 255
     (width, height), more = pair.second.size, pair.disparities
     wide = replace(pair.second, K=pair.second.K + np.array([[0, 0, more], [0, 0, 0], [0, 0, 0]]), size=(width + more, height))
-    # A camera's pixel takes in an area: the mean of samples of it, each of one of the projector's pixels.
-    fine = rectified_picture(projector, wide.scaled(_SAMPLES), pattern, interpolation=cv2.INTER_NEAREST, border=np.nan)
+    # A camera's pixel takes in an area: the mean of samples of it. Between the projector's pixels they are blended, since the
+    # nearest one would move the dots' edges by up to half a sample.
+    fine = rectified_picture(projector, wide.scaled(_SAMPLES), pattern, border=np.nan)
     return fine.reshape(height, _SAMPLES, width + more, _SAMPLES).mean(axis=(1, 3))
 
 
 def match_dots(image: np.ndarray, reference: np.ndarray, *, window: int, score: float, uniqueness: float, contrast: float) -> Match:
     """Find for every pixel the shift at which its window correlates best with the reference.
 
-    The measure is the zero-mean normalised cross-correlation, which other light and the surface's albedo leave alone. A
-    parabola through the best score and its neighbours gives the place between pixels, and the median of 3 x 3 of these places the
-    disparity.
+    The measure is the zero-mean normalised cross-correlation, which other light and the surface's albedo leave alone. The
+    place between pixels is the mean of two estimates from the best score and its neighbours: a parabola's, which is drawn towards
+    whole pixels where dots are square, and that of two lines of one slope, which is pushed away from them where dots are blurred.
+    The median of 3 x 3 of these places is the disparity.
 
     Parameters
     ----------
@@ -179,8 +181,10 @@ def match_dots(image: np.ndarray, reference: np.ndarray, *, window: int, score: 
         for kept, fresh in ((before, previous), (best, now), (after, np.float32(-1)), (place, np.int32(disparity))):
             np.copyto(kept, fresh, where=better)
         previous = now
-    curvature = np.minimum(before - 2 * best + after, -_FLAT)
-    disparity = (place + np.clip(0.5 * (before - after) / curvature, -0.5, 0.5)).astype(np.float32)
+    rise = after - before
+    parabola = 0.5 * rise / np.maximum(2 * best - before - after, _FLAT)
+    lines = 0.5 * rise / np.maximum(best - np.minimum(before, after), _FLAT)
+    disparity = (place + np.clip((parabola + lines) / 2, -0.5, 0.5)).astype(np.float32)
     smooth = cv2.medianBlur(disparity, 3)
     at_end = (place == 0) | (place == disparities)
     strays = np.abs(disparity - smooth) > _STRAY
