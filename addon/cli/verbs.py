@@ -16,6 +16,8 @@ import numpy as np
 
 from ..calibration import OPTIONS as CALIBRATION_OPTIONS
 from ..calibration import calibrate
+from ..captures.exporters import EXPORTERS, export_capture
+from ..captures.exporters import OPTIONS as EXPORT_OPTIONS
 from ..captures.importers import IMPORTERS as FORMATS
 from ..captures.importers import import_capture
 from ..captures.pattern_files import write_patterns
@@ -111,6 +113,17 @@ def _import_arguments(parser: argparse.ArgumentParser) -> None:
 def _import(call: argparse.Namespace, progress: Progress) -> dict:
     capture = import_capture(call.format, call.source, call.out, dict(call.settings), progress)
     return {"capture": str(call.out), "frames": len(capture.frames), "lines": [f"{call.out}: {len(capture.frames)} frames"]}
+
+
+def _export_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("format", metavar="FORMAT", help=", ".join(EXPORTERS))
+    parser.add_argument("capture", metavar="CAPTURE", type=Path)
+    parser.add_argument("--out", metavar="DIR", required=True, type=Path, help="a new or empty folder")
+
+
+def _export(call: argparse.Namespace, progress: Progress) -> dict:
+    count = export_capture(call.format, call.capture, call.out, dict(call.settings), progress)
+    return {"folder": str(call.out), "pictures": count, "lines": [f"{call.out}: {count} pictures with their cameras"]}
 
 
 def _calibrate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -234,6 +247,9 @@ VERBS = {
     "capture": Verb("render the plan of a staged scene into a capture set; resumes", _capture_arguments, _capture),
     "import": Verb("turn other people's captures into a capture set", _import_arguments, _import,
                    "formats:\n" + "\n".join(f"  {name}: {entry.description}" for name, entry in FORMATS.items())),
+    "export": Verb("write a capture set's pictures and cameras for other programs", _export_arguments, _export,
+                   "\n".join(["formats:", *(f"  {name}: {entry.description}" for name, entry in EXPORTERS.items()), "options:",
+                              *option_lines(EXPORT_OPTIONS)])),
     "calibrate": Verb("calibrate cameras, projectors and turntable from a capture set's frames of a board", _calibrate_arguments,
                       _calibrate, "options:\n" + "\n".join(option_lines(CALIBRATION_OPTIONS))),
     "patterns": Verb("write a set of patterns as pictures for a real projector", _patterns_arguments, _patterns, _pattern_sets()),

@@ -19,11 +19,13 @@ from ...reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..placing import check_place, put_in_place
 from ..schema import Capture
 from .board import BOARD_OPTIONS, read_board
+from .colmap import read_colmap
 from .desk import read_desk
 from .middlebury import MIDDLEBURY_OPTIONS, read_middlebury
 from .opencv import read_opencv
 from .slstudio import read_slstudio
 from .sources import Import
+from .transforms import read_transforms
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,9 @@ IMPORTERS = {importer.name: importer for importer in (
              "The folder of a Middlebury multi-view stereo set, or its *_par.txt", MIDDLEBURY_OPTIONS, read_middlebury),
     Importer("opencv", "OpenCV FileStorage",
              "An XML, YAML or JSON file of OpenCV's with a P, or K R t, for each picture beside it", (), read_opencv),
+    Importer("colmap", "COLMAP", "A text model (cameras.txt, images.txt) with its pictures in a folder images near it", (), read_colmap),
+    Importer("transforms", "NeRF transforms.json", "The file of NeRF, instant-ngp or nerfstudio with its pictures below it", (),
+             read_transforms),
     Importer("board", "Calibration board", "A folder of pictures of a calibration board before one camera, to be calibrated",
              BOARD_OPTIONS, read_board),
     Importer("slstudio", "SLStudio", "The calibration of a camera and a projector (Kc kc Kp kp Rp Tp) with the frames of a Gray-code scan",
