@@ -179,13 +179,17 @@ def _reconstruct(call: argparse.Namespace, progress: Progress) -> dict:
 def _evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("result", metavar="RESULT", type=Path)
     parser.add_argument("--truth", metavar="MESH", type=Path, help="in the object frame (default: the capture set's)")
+    parser.add_argument("--page", metavar="FILE.html", type=Path, help="also write all that the result says as one page for any browser")
 
 
 def _evaluate(call: argparse.Namespace, progress: Progress) -> dict:
     from ..results.meshes import read_mesh
+    from ..results.page import write_page
 
     truth = read_mesh(call.truth) if call.truth else None
     measures = evaluate_result(call.result, truth, options=dict(call.settings), progress=progress)
+    if call.page:
+        write_page(call.result, call.page)
     return {**measures, "lines": measure_lines(measures)}
 
 

@@ -101,7 +101,7 @@ def check_replaceable(folder) -> None:
         raise ScanstageError(f"{folder}: is a file; name a folder for the result")
     if any(folder.iterdir()):
         try:
-            _read_report(folder)
+            read_report(folder)
         except ScanstageError:
             raise ScanstageError(f"{folder}: is not empty and not a result, so it is not replaced; name another folder "
                                  "or remove it") from None
@@ -183,7 +183,7 @@ def read_result(folder) -> Result:
         A file is missing, damaged, of an unknown version, or disagrees with another.
     """
     folder = Path(folder)
-    report = _read_report(folder)
+    report = read_report(folder)
     grid = _grid(report, folder / REPORT)
     check_size(grid, folder / REPORT)
     with open_volume(folder / VOLUME) as file:
@@ -218,7 +218,7 @@ def report_section(folder, name: str, section: dict) -> None:
     if name in _OURS:
         raise ValueError(f"{name} belongs to the format")
     folder = Path(folder)
-    _write(folder / REPORT, _encode({**_read_report(folder), name: section}))
+    _write(folder / REPORT, _encode({**read_report(folder), name: section}))
 
 
 def _rows(voxels: np.ndarray, surface: Surface, grid: VoxelGrid, folder: Path) -> np.ndarray:
@@ -285,7 +285,14 @@ def _grid_fields(grid: VoxelGrid) -> dict:
     return {"origin": grid.origin.tolist(), "voxel_size": grid.voxel_size, "shape": list(grid.shape)}
 
 
-def _read_report(folder: Path) -> dict:
+def read_report(folder: Path) -> dict:
+    """Return all of a result's ``result.json``.
+
+    Raises
+    ------
+    ScanstageError
+        There is none, or it is not one that this version reads.
+    """
     path = folder / REPORT
     try:
         with open(path, "rb") as file:

@@ -64,10 +64,11 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
         layout.operator(operators.capture.SCANSTAGE_OT_capture.bl_idname, icon='RENDER_ANIMATION')
         _draw_state(layout, settings.capture_state or "no captures")
         header, body = layout.panel("scanstage_import", default_closed=True)
-        header.label(text="Photographs")
+        header.label(text="Other Programs")
         if body:
             _split(body).prop(settings, "import_format")
             body.operator(operators.capture.SCANSTAGE_OT_import.bl_idname, icon='IMPORT')
+            body.operator(operators.capture.SCANSTAGE_OT_export_capture.bl_idname, icon='EXPORT')
         header, body = layout.panel("scanstage_silhouettes", default_closed=True)
         header.label(text="Silhouettes")
         if body:
@@ -129,6 +130,7 @@ class SCANSTAGE_PT_evaluate(_Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.scanstage
         layout.operator(operators.evaluate.SCANSTAGE_OT_evaluate.bl_idname, icon='DRIVER_DISTANCE')
+        layout.operator(operators.evaluate.SCANSTAGE_OT_report_page.bl_idname, icon='DOCUMENTS')
         if not settings.measures:
             _draw_state(layout, "not compared yet")
             return

@@ -18,6 +18,7 @@ from addon.reconstruction.methods import METHODS
 from addon.reconstruction.shadows import SHADOW_OPTIONS
 from addon.reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from addon.results.folder import read_result
+from addon.results.page import page_of
 from addon.results.pictures import picture_files
 from addon.results.ply import read_ply
 from addon.stage.presets import PRESETS
@@ -74,6 +75,13 @@ def test_from_stage_to_evaluation(captured, tmp_path):
     out = tmp_path / "mesh.stl"
     assert bpy.ops.scanstage.export_mesh(filepath=str(out)) == {'FINISHED'}
     assert out.stat().st_size > 1000
+
+    assert bpy.ops.scanstage.report_page(filepath=str(tmp_path / "page.html")) == {'FINISHED'}
+    assert (tmp_path / "page.html").read_text() == page_of(result)
+    assert bpy.ops.scanstage.export_capture(filepath=str(tmp_path / "colmap"), format='colmap') == {'FINISHED'}
+    assert (tmp_path / "colmap/sparse/0/images.txt").is_file()
+    with pytest.raises(RuntimeError, match="is there already and not an empty folder"):
+        bpy.ops.scanstage.export_capture(filepath=str(tmp_path / "colmap"), format='colmap')
 
     assert bpy.ops.scanstage.remove_stage() == {'FINISHED'}
     assert "Scanstage" not in bpy.data.collections and "Result" in bpy.data.objects
@@ -210,7 +218,7 @@ def test_the_threshold_of_probabilities_is_live_and_can_be_undone(captured):
 @pytest.mark.parametrize("operator, reason", [
     ("capture", "Build a stage first"), ("remove_stage", "Build a stage first"), ("reconstruct", "Capture or import pictures first"),
     ("show_masks", "Capture or import pictures first"), ("show_shadows", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"), ("show_pictures", "Reconstruct first"),
-    ("export_mesh", "Reconstruct first")])
+    ("export_mesh", "Reconstruct first"), ("report_page", "Reconstruct first"), ("export_capture", "Capture or import pictures first")])
 def test_a_button_that_cannot_work_yet_says_why(scene, operator, reason):
     with pytest.raises(RuntimeError, match=reason):
         getattr(bpy.ops.scanstage, operator)()

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import bpy
 from bpy.props import EnumProperty, StringProperty
-from bpy_extras.io_utils import ImportHelper
+from bpy_extras.io_utils import ExportHelper, ImportHelper
 
+from ...captures.exporters import EXPORTERS, export_capture
 from ...captures.importers import IMPORTERS, import_capture
 from ...captures.scan import load_scan
 from ...captures.store import read_capture
@@ -70,6 +71,29 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
         settings.capture_state = capture_state(folder)
 
 
+class SCANSTAGE_OT_export_capture(bpy.types.Operator, ExportHelper):
+    """Write the pictures and their cameras for other programs, into a new folder"""
+
+    bl_idname = "scanstage.export_capture"
+    bl_label = "Export Pictures"
+    filename_ext = ""
+    format: EnumProperty(name="Format", description="Whose conventions the cameras follow", items=[
+        (entry.name, entry.label, entry.description) for entry in EXPORTERS.values()])
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_captures(cls, context) and idle(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            count = export_capture(self.format, capture_folder(context.scene), Path(self.filepath))
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        self.report({'INFO'}, f"{count} pictures in {self.filepath}")
+        return {'FINISHED'}
+
+
 class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
     """Extract the silhouettes and show them as the image of each camera; look through the camera and scrub"""
 
@@ -115,4 +139,4 @@ def capture_state(folder: Path) -> str:
     return f"{len(capture.frames) - len(capture.missing)} of {len(capture.frames)} frames captured"
 
 
-CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_import, SCANSTAGE_OT_show_masks, SCANSTAGE_OT_show_shadows)
+CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_import, SCANSTAGE_OT_export_capture, SCANSTAGE_OT_show_masks, SCANSTAGE_OT_show_shadows)

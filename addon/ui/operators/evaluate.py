@@ -9,9 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
+from bpy.props import StringProperty
+from bpy_extras.io_utils import ExportHelper
 
 from ... import workflow
+from ...errors import ScanstageError
 from ...results import folder as results
+from ...results.page import write_page
 from ...results.present import face_errors, show_comparison
 from ..jobs import Job, idle, in_thread
 from ..viewport import show_colors
@@ -49,4 +53,26 @@ def _compare(folder: Path, progress):
     return found, truth, face_errors(found, truth)
 
 
-CLASSES = (SCANSTAGE_OT_evaluate,)
+class SCANSTAGE_OT_report_page(bpy.types.Operator, ExportHelper):
+    """Write all that the result says, with its pictures, as one page for any browser; it needs no network"""
+
+    bl_idname = "scanstage.report_page"
+    bl_label = "Write Report Page"
+    filename_ext = ".html"
+    filter_glob: StringProperty(default="*.html", options={'HIDDEN'})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_result(cls, context) and idle(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            write_page(result_folder(context.scene), Path(self.filepath))
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        self.report({'INFO'}, f"Report in {self.filepath}")
+        return {'FINISHED'}
+
+
+CLASSES = (SCANSTAGE_OT_evaluate, SCANSTAGE_OT_report_page)
