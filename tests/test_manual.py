@@ -27,7 +27,7 @@ def test_the_pages_of_rigs_and_the_index_are_in_step():
 
 def commands(text):
     """Return the calls of the command line in a page's code blocks, each as a list of its arguments."""
-    blocks = text.split("```")[1::2]
+    blocks = text.replace("\\\n", " ").split("```")[1::2]
     lines = [line.removesuffix("&&").split() for block in blocks for line in block.splitlines()]
     return [line[2:] for line in lines if line[:2] == ["python3", "scripts/scanstage.py"]]
 
