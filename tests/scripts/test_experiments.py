@@ -288,7 +288,11 @@ def test_a_low_threshold_loses_and_a_high_one_keeps_the_hull(matte):
 def test_every_measure_is_compared_on_the_same_scan(matte):
     table = consistency_measures.tabulate(consistency_measures.compare(*matte, silent, voxels=32))
     assert table.column("measure") == list(MEASURES)
-    assert all(0.5 < area <= 1 for area in table.column("area under the curve"))  # each does better than a coin
+    areas = dict(zip(table.column("measure"), table.column("area under the curve"), strict=True))
+    # Those that compare colours as they are do far better than a coin. Colours of one cell of the histogram's, or patches that change
+    # as slowly as these, tell nothing.
+    assert all(0.8 < areas[name] <= 1 for name in ("adaptive", "deviation", "chi-square", "pairwise", "likelihood"))
+    assert areas["histogram"] >= 0.5
     assert [text for text in table.column("monotone") if not text.startswith("not")] == [
         MEASURES["pairwise"].monotone.value, MEASURES["histogram"].monotone.value]
     assert all(seconds > 0 for seconds in table.column("seconds"))
