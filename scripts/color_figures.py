@@ -162,9 +162,24 @@ def column_tops(volume, middle):
 
 def consistency(bar):
     """Print how well each measure tells the surface from three voxels off it; return how many are below the figure."""
+    from addon.captures.scan import load_scan
+
+    print_head("measure", "area under the curve", "monotone", "own threshold", "surface refused", "off it refused")
+    missed = 0
+    with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
+        truth = captured("dented-sphere", Path(folder), told(bar, "dented-sphere"), {"views": VIEWS})
+        for measure, *scores in measure_scores(load_scan(folder), truth, VOXELS // 2):
+            area = area_under_curve(*scores)
+            missed += area < LEAST_AUC
+            print_line(measure.name, f"{area:.4f}", measure.monotone.value, measure.threshold,
+                        *(f"{(part > measure.threshold).mean():.2%}" for part in scores))
+    return missed
+
+
+def measure_scores(scan, truth, voxels):
+    """Yield each measure of photo-consistency with its scores of the truth's surface, and of a surface `OFF` voxels off it."""
     import numpy as np
 
-    from addon.captures.scan import load_scan
     from addon.reconstruction import methods
     from addon.reconstruction.geometry import VoxelGrid
     from addon.reconstruction.volumetric.carving import Carving
@@ -174,27 +189,18 @@ def consistency(bar):
     from addon.reconstruction.volumetric.sight import Sight
     from addon.reconstruction.volumetric.volume import SparseVolume
 
-    print_head("measure", "area under the curve", "monotone", "own threshold", "surface refused", "off it refused")
-    missed = 0
-    with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
-        truth = captured("dented-sphere", Path(folder), told(bar, "dented-sphere"), {"views": VIEWS})
-        scan = load_scan(folder)
-        box = methods.METHODS["generalized-voxel-coloring"].bounds(scan)
-        grid = VoxelGrid.from_bounds(box[0] - 0.1 * np.ptp(box), box[1] + 0.1 * np.ptp(box), VOXELS // 2)
-        pictures = Pictures.of(scan.views, grid, cells=True)
-        real = solid(truth, grid).dense()
-        sights = [Sight(pictures, Carving(SparseVolume.from_dense(grid, volume))) for volume in (real, grown(real, OFF))]
-        for name, measure in MEASURES.items():
-            judge = Judge.of(consistency=name, threshold=0.0, noise=0.01, min_views=2)
-            scores = []
-            for sight in sights:
-                samples = samples_of(sight, sight.seen(), judge)
-                scores.append(measure.scores(samples, judge.noise)[samples.views >= 3])
-            area = area_under_curve(*scores)
-            missed += area < LEAST_AUC
-            print_line(name, f"{area:.4f}", measure.monotone.value, measure.threshold,
-                        *(f"{(part > measure.threshold).mean():.2%}" for part in scores))
-    return missed
+    box = methods.METHODS["generalized-voxel-coloring"].bounds(scan)
+    grid = VoxelGrid.from_bounds(box[0] - 0.1 * np.ptp(box), box[1] + 0.1 * np.ptp(box), voxels)
+    pictures = Pictures.of(scan.views, grid, cells=True)
+    real = solid(truth, grid).dense()
+    sights = [Sight(pictures, Carving(SparseVolume.from_dense(grid, volume))) for volume in (real, grown(real, OFF))]
+    for name, measure in MEASURES.items():
+        judge = Judge.of(consistency=name, threshold=0.0, noise=0.01, min_views=2)
+        scores = []
+        for sight in sights:
+            samples = samples_of(sight, sight.seen(), judge)
+            scores.append(measure.scores(samples, judge.noise)[samples.views >= 3])
+        yield measure, *scores
 
 
 def grown(occupancy, steps):

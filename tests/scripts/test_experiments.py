@@ -10,14 +10,29 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from experiments import EXPERIMENTS, accuracy, concavities, cost, hull_2d, octree_count, stage, voxel_sizes
+from experiments import (
+    EXPERIMENTS,
+    accuracy,
+    colored,
+    concavities,
+    consistency_measures,
+    cost,
+    hull_2d,
+    lambertian,
+    octree_count,
+    stage,
+    threshold,
+    uniqueness,
+    voxel_sizes,
+)
 from tables import Table, head, line
 from turntable_captures import thinned
 
 from addon.reconstruction.geometry import VoxelGrid
 from addon.reconstruction.scan import Scan
+from addon.reconstruction.volumetric.consistency import MEASURES
 from addon.reconstruction.volumetric.volume import SparseVolume
-from tests.rigs import Ball, ring, sphere_mesh, views_of
+from tests.rigs import Ball, marbled, painted_views, ring, sphere_mesh, views_of
 
 ROOT = Path(__file__).resolve().parents[2]
 BALL = Ball((0.0, 0.0, 0.0), 0.1)
@@ -200,6 +215,89 @@ def test_the_depth_of_a_concavity_is_measured_from_its_mouth():
     assert low == -60 and cut.mean() * (right - left) * (high - low) == pytest.approx(np.pi * 100 ** 2 - segment - hollow, rel=0.02)
 
 
+# --- carving by colour -----------------------------------------------------------------------------------------------------
+
+
+def test_two_scenes_give_the_same_two_pictures():
+    floor, platform = uniqueness.scenes().values()
+    assert (floor != platform).any() and (floor & ~platform).any() and (platform & ~floor).any()
+    pictures = [uniqueness.pictures_of(blocks) for blocks in (floor, platform)]
+    for (one, mask), (other, other_mask) in zip(*pictures, strict=True):
+        np.testing.assert_array_equal(one, other)
+        np.testing.assert_array_equal(mask, other_mask)
+        # Not for want of anything to see: both colours, and background on all sides.
+        assert {tuple(color) for color in one[mask]} == {tuple(color) for color in uniqueness.COLORS.astype(np.float32)}
+        assert mask.any() and not (mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
+    # A scene that is neither gives others.
+    assert any((one[0] != other[0]).any() for one, other in zip(pictures[0], uniqueness.pictures_of(floor & platform), strict=True))
+
+
+def test_the_photo_hull_holds_both_scenes_and_shows_their_colours():
+    """Kutulakos & Seitz (2000): it is the union of all shapes that the pictures allow."""
+    table = uniqueness.tabulate(found := uniqueness.reconstructed(silent))
+    assert table.column("share of the floor that it holds")[2:] == table.column("share of the platform that it holds")[2:] == [1, 1]
+    assert all(result.report["counts"]["removed"] > 0 and result.report["counts"]["coloured"] > 0 for result in found.values())
+    assert table.column("their pixels of another colour")[2:] == [0, 0]
+
+
+def painted(paint):
+    """Return a ball of one unit in 12 views from above, painted, and its truth. A painter that takes two gets the view's number, too."""
+    ball, cameras = Ball((0.0, 0.0, 0.0), 1.0), ring(12, elevation=35.0, focal=200.0, size=(160, 120))
+    views = [painted_views([camera], [ball], lambda points, number=number: paint(points, number))[0] for number, camera in enumerate(cameras)]
+    return Scan(tuple(replace(view, name=f"{number:04d}") for number, view in enumerate(views))), sphere_mesh(ball)
+
+
+@pytest.fixture(scope="module")
+def matte():
+    return painted(lambda points, number: marbled(points / 2))
+
+
+def test_what_is_lost_and_too_much_is_that_of_the_truth(matte):
+    scan, truth = matte
+    made = colored.outcome(scan, truth, "visual-hull", {"rule": "conservative"}, silent, voxels=32)
+    # A conservative hull holds the ball; from above it has the cone below, too.
+    assert made.lost == 0 and made.excess > 0
+    volume = made.found.volume
+    ball = 4 / 3 * np.pi / volume.grid.voxel_size ** 3
+    assert 1 + made.excess == pytest.approx(volume.count() / ball, rel=0.02)
+
+
+def test_a_plain_surface_stays_fat_and_one_that_shines_is_lost(matte):
+    plain = painted(lambda points, number: np.full((len(points), 3), 0.5))
+    shiny = painted(lambda points, number: marbled(points / 2) * (0.3 + 0.7 * (number % 2)))
+    kinds = {"matte": matte, "shiny": shiny, "textureless": plain}
+    made = {kind: lambertian.compare(*each, silent, voxels=32) for kind, each in kinds.items()}
+    for method in lambertian.METHODS:
+        matte_one, shiny_one, plain_one = (made[kind][method] for kind in kinds)
+        assert plain_one.lost == 0 and plain_one.excess >= matte_one.excess
+        assert shiny_one.lost > matte_one.lost + 0.1
+        assert all(each[method].excess <= each["visual-hull"].excess for each in made.values())
+    table = lambertian.tabulate(made)
+    assert len(table.rows) == 9 and table.column("coloured voxels")[0] is None
+
+
+def test_a_low_threshold_loses_and_a_high_one_keeps_the_hull(matte):
+    made = threshold.sweep(*matte, silent, (0.02, 0.1, 10.0), 32)
+    table = threshold.tabulate(made)
+    low, _, high = table.column("surface lost")
+    assert low > high and table.column("excess") == sorted(table.column("excess"))
+    hull = lambertian.compare(*matte, silent, voxels=32)["visual-hull"]
+    assert (high, table.column("excess")[-1]) == (hull.lost, hull.excess)  # no score is above 10
+
+
+def test_every_measure_is_compared_on_the_same_scan(matte):
+    table = consistency_measures.tabulate(consistency_measures.compare(*matte, silent, voxels=32))
+    assert table.column("measure") == list(MEASURES)
+    areas = dict(zip(table.column("measure"), table.column("area under the curve"), strict=True))
+    # Those that compare colours as they are do far better than a coin. Colours of one cell of the histogram's, or patches that change
+    # as slowly as these, tell nothing.
+    assert all(0.8 < areas[name] <= 1 for name in ("adaptive", "deviation", "chi-square", "pairwise", "likelihood"))
+    assert areas["histogram"] >= 0.5
+    assert [text for text in table.column("monotone") if not text.startswith("not")] == [
+        MEASURES["pairwise"].monotone.value, MEASURES["histogram"].monotone.value]
+    assert all(seconds > 0 for seconds in table.column("seconds"))
+
+
 # --- tables and the script -------------------------------------------------------------------------------------------------
 
 
@@ -213,7 +311,8 @@ def test_a_table_is_markdown():
 
 
 def test_every_experiment_is_told_in_one_sentence():
-    assert {"hull-2d", "octree-count", "cost", "voxel-sizes", "accuracy", "concavities", "shadow-carving"} <= set(EXPERIMENTS)
+    assert {"hull-2d", "octree-count", "cost", "voxel-sizes", "accuracy", "concavities", "shadow-carving", "uniqueness", "lambertian", "threshold",
+            "consistency-measures"} <= set(EXPERIMENTS)
     for name, experiment in EXPERIMENTS.items():
         assert experiment.name == name and experiment.description.endswith(".")
     assert set(stage.MEASURES) >= {"excess", "loss", "truth_voxels_removed"}

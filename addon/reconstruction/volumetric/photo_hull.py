@@ -91,6 +91,14 @@ class Colored:
     rgb: np.ndarray
     views: np.ndarray
 
+    def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (m, 3) colours of voxels by their keys, and the (m,) uint16 number of views, 0 for voxels that are not listed."""
+        if not len(self.keys):
+            return np.zeros((len(keys), 3), np.float32), np.zeros(len(keys), np.uint16)
+        order = np.argsort(self.keys)
+        row = order[np.minimum(np.searchsorted(self.keys, keys, sorter=order), len(order) - 1)]
+        return self.rgb[row], np.where(self.keys[row] == keys, self.views[row], 0).astype(np.uint16)
+
 
 def outcome(carving: Carving, colored: Colored, judge: Judge, *, counts: dict[str, int], warnings: Sequence[str], report: dict,
             whole_footprints: bool) -> Outcome:
@@ -108,12 +116,8 @@ def outcome(carving: Carving, colored: Colored, judge: Judge, *, counts: dict[st
     if not len(surface.voxels):
         raise ScanstageError(f"no voxel is photo-consistent: raise --set consistency_threshold=... (now {judge.threshold:g}), or check the "
                              "poses and that the light keeps still with respect to the object")
-    order = np.argsort(colored.keys)
-    keys = carving.keys(surface.voxels)
-    place = np.minimum(np.searchsorted(colored.keys, keys, sorter=order), len(order) - 1)
-    row = order[place]
-    views = np.where(colored.keys[row] == keys, colored.views[row], 0).astype(np.uint16)
-    rgb = filled(surface, colored.rgb[row], views > 0).astype(np.float32)
+    rgb, views = colored.of(carving.keys(surface.voxels))
+    rgb = filled(surface, rgb, views > 0).astype(np.float32)
     seen = int(np.count_nonzero(views))
     found = {**counts, "coloured": seen, "unseen": len(views) - seen}
     return Outcome(volume, {"counts": found, "consistency": judge.report(whole_footprints=whole_footprints), **report,

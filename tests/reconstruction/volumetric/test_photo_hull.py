@@ -239,6 +239,14 @@ def test_cameras_round_the_object_are_refused(scan):
         reconstruct(Scan(tuple(views), BOUNDS), "voxel-coloring", voxels=24)
 
 
+@pytest.mark.parametrize("name", COLOR_METHODS)
+def test_more_views_demanded_than_there_are_leave_the_hull_without_a_colour(name, scan):
+    result = reconstruct(scan, name, voxels=24, options={"min_views": len(scan.views) + 1})
+    hull = reconstruct(scan, "visual-hull", voxels=24, options={"rule": "center"})
+    np.testing.assert_array_equal(result.volume.dense(), hull.volume.dense())
+    assert result.report["counts"]["coloured"] == 0 and np.isfinite(result.colors.rgb).all()
+
+
 def test_one_view_is_refused(scan):
     with pytest.raises(ScanstageError, match="has 1 view: colours can only be compared"):
         reconstruct(Scan(scan.views[:1], BOUNDS), "space-carving", voxels=16)
