@@ -16,7 +16,7 @@ from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..results.present import shown_probabilities
 from ..stage import ownership
 from ..stage.presets import PRESETS
-from . import calibrating, operators
+from . import calibrating, gallery, operators
 from .properties import field_name
 
 _DEFAULT_FOLDER = "Beside this file"
@@ -36,10 +36,16 @@ class SCANSTAGE_PT_stage(_Panel, bpy.types.Panel):
 
     bl_label = "Stage"
 
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        gallery.SCANSTAGE_PT_own_rigs.draw_panel_header(self.layout)
+
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = _split(self.layout), context.scene.scanstage
         _draw_job(layout, context)
-        layout.prop(settings, "preset")
+        layout.template_icon(gallery.picture_of(settings.preset), scale=5.0)
+        row = layout.row(align=True)
+        row.prop(settings, "preset")
+        row.popover(gallery.SCANSTAGE_PT_gallery.__name__, text="", icon='IMGDISPLAY')
         layout.prop(settings, "source")
         layout.prop(settings, {'BUILTIN': "builtin", 'SCENE': "subject", 'FILE': "file"}[settings.source])
         preset = PRESETS[settings.preset]
