@@ -7,6 +7,7 @@
 - `operators`: adapters: gather what is set, call a function, report.
 - `adding`: Add > Scan Rig, with an entry for each preset.
 - `gallery`: every rig with its picture; the user's own rigs, as presets.
+- `forecast`: what a button will cost.
 - `calibrating`: the operator that calibrates the devices of a capture set.
 - `panels`: draw, and nothing else.
 - `devices`: projectors and lasers by hand.
