@@ -286,8 +286,12 @@ def _clipped(volume: SparseVolume) -> list[str]:
 
 def predicted_memory(grid: VoxelGrid, scan: Scan) -> int:
     """Return the bytes that a reconstruction in this grid may need, for an object that fills the working volume."""
-    x, y, z = grid.shape
-    pixels = sum(view.camera.size[0] * view.camera.size[1] for view in scan.views)
+    return memory_for(grid.shape, sum(view.camera.size[0] * view.camera.size[1] for view in scan.views))
+
+
+def memory_for(shape: tuple[int, int, int], pixels: int) -> int:
+    """Return what `predicted_memory` does, from the shape of the grid and the pixels of all pictures together."""
+    x, y, z = shape
     bricks = 4 * (x // BRICK + 1) * (y // BRICK + 1) * (z // BRICK + 1)
     return _BYTES_A_SURFACE_VOXEL * 2 * (x * y + y * z + z * x) + _BYTES_A_PIXEL * pixels + bricks
 

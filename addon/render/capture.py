@@ -29,7 +29,8 @@ TRUTH = "truth.ply"
 _SAME = 1e-6  # metres, pixels and matrix elements: what a plan may differ by and be the same
 
 
-def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool = True) -> Iterator[tuple[float, str]]:
+def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool = True,
+                   most: int | None = None) -> Iterator[tuple[float, str]]:
     """Render the scene's plan into a capture set, one picture a step.
 
     Parameters
@@ -40,6 +41,8 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
         Made if there is none.
     resume : bool
         Whether whole pictures that are there are kept. A set of another plan is then refused; without it, overwritten.
+    most : int, optional
+        How many frames are rendered; all that are missing otherwise. The set lists those that it then still lacks.
 
     Yields
     ------
@@ -68,10 +71,11 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
     try:
         with capture_settings(scene):
             yield from _render_plates(scene, folder, plan, planned, resume)
-            yield from _render_frames(scene, folder, plan, planned, missing)
+            yield from _render_frames(scene, folder, plan, planned, missing, most)
     finally:
         _write(folder, planned, missing)
-    yield 1.0, f"{len(planned.frames)} frames in {folder}"
+    whole = len(planned.frames) - len(missing)
+    yield whole / len(planned.frames), f"{whole} frames in {folder}"
 
 
 def _capture(scene: bpy.types.Scene, plan: CapturePlan) -> Capture:
@@ -105,13 +109,13 @@ def _write(folder: Path, planned: Capture, missing: list[str]) -> None:
 
 
 def _render_frames(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, planned: Capture,
-                   missing: list[str]) -> Iterator[tuple[float, str]]:
-    """Render the missing frames, and take each out of ``missing`` once it is on disk."""
-    total = len(planned.frames)
+                   missing: list[str], most: int | None) -> Iterator[tuple[float, str]]:
+    """Render the missing frames, or the first ``most`` of them, and take each out of ``missing`` once it is on disk."""
+    total, wanted = len(planned.frames), set(missing[:most])
     if len(missing) < total:
         yield (total - len(missing)) / total, f"{total - len(missing)} of {total} frames are there already"
     for frame, entry in zip(plan.frames, planned.frames, strict=True):
-        if entry.id in missing:
+        if entry.id in wanted:
             _render(scene, frame.number, folder / entry.image, plan.cameras[frame.camera].size)
             missing.remove(entry.id)
             yield (total - len(missing)) / total, f"frame {entry.id}, {total - len(missing)} of {total}"

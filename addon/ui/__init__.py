@@ -6,12 +6,14 @@
 - `jobs`: long work as steps, with progress, Esc and a thread for what never touches Blender.
 - `operators`: adapters: gather what is set, call a function, report.
 - `adding`: Add > Scan Rig, with an entry for each preset.
+- `gallery`: every rig with its picture; the user's own rigs, as presets.
+- `forecast`: what a button will cost.
 - `calibrating`: the operator that calibrates the devices of a capture set.
 - `panels`: draw, and nothing else.
 - `devices`: projectors and lasers by hand.
 """
 
-from . import adding, calibrating, devices, operators, panels, properties
+from . import adding, calibrating, devices, gallery, operators, panels, properties
 
 
 def register() -> None:
@@ -19,6 +21,7 @@ def register() -> None:
     properties.register()
     operators.register()
     calibrating.register()
+    gallery.register()
     panels.register()
     devices.register()
     adding.register()
@@ -29,6 +32,7 @@ def unregister() -> None:
     adding.unregister()
     devices.unregister()
     panels.unregister()
+    gallery.unregister()
     calibrating.unregister()
     operators.unregister()
     properties.unregister()

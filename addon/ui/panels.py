@@ -16,7 +16,8 @@ from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..results.present import shown_probabilities
 from ..stage import ownership
 from ..stage.presets import PRESETS
-from . import calibrating, operators
+from . import calibrating, forecast, gallery, operators
+from .operators.requirements import is_older
 from .properties import field_name
 
 _DEFAULT_FOLDER = "Beside this file"
@@ -36,10 +37,16 @@ class SCANSTAGE_PT_stage(_Panel, bpy.types.Panel):
 
     bl_label = "Stage"
 
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        gallery.SCANSTAGE_PT_own_rigs.draw_panel_header(self.layout)
+
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = _split(self.layout), context.scene.scanstage
         _draw_job(layout, context)
-        layout.prop(settings, "preset")
+        layout.template_icon(gallery.picture_of(settings.preset), scale=5.0)
+        row = layout.row(align=True)
+        row.prop(settings, "preset")
+        row.popover(gallery.SCANSTAGE_PT_gallery.__name__, text="", icon='IMGDISPLAY')
         layout.prop(settings, "source")
         layout.prop(settings, {'BUILTIN': "builtin", 'SCENE': "subject", 'FILE': "file"}[settings.source])
         preset = PRESETS[settings.preset]
@@ -49,7 +56,7 @@ class SCANSTAGE_PT_stage(_Panel, bpy.types.Panel):
         row.operator(operators.stage.SCANSTAGE_OT_remove_stage.bl_idname, text="", icon='TRASH')
         scene = context.scene
         stands = ownership.find_stage(scene) is not None
-        _draw_state(layout, f"{scene.frame_end - scene.frame_start + 1} frames planned: scrub the timeline" if stands
+        _draw_state(layout, f"{scene.frame_end - scene.frame_start + 1} frames planned, on the timeline" if stands
                     else "nothing staged")
 
 
@@ -61,7 +68,11 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = _split(self.layout), context.scene.scanstage
         layout.prop(settings, "capture_folder", placeholder=_DEFAULT_FOLDER)
-        layout.operator(operators.capture.SCANSTAGE_OT_capture.bl_idname, icon='RENDER_ANIMATION')
+        if ownership.find_stage(context.scene) is not None:
+            _draw_lines(layout, [forecast.capture_cost(context.scene)])
+        row = layout.row(align=True)
+        row.operator(operators.capture.SCANSTAGE_OT_capture.bl_idname, icon='RENDER_ANIMATION')
+        row.operator(operators.capture.SCANSTAGE_OT_test_frame.bl_idname, text="", icon='RENDER_STILL')
         _draw_state(layout, settings.capture_state or "no captures")
         header, body = layout.panel("scanstage_import", default_closed=True)
         header.label(text="Other Programs")
@@ -102,6 +113,7 @@ class SCANSTAGE_PT_reconstruct(_Panel, bpy.types.Panel):
             layout.prop(settings, "bounds_lower")
             layout.prop(settings, "bounds_upper")
         layout.prop(settings, "result_folder", placeholder=_DEFAULT_FOLDER)
+        _draw_lines(layout, forecast.reconstruction_cost(settings))
         layout.operator(operators.reconstruct.SCANSTAGE_OT_reconstruct.bl_idname, icon='MESH_ICOSPHERE')
 
 
@@ -112,7 +124,9 @@ class SCANSTAGE_PT_result(_Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = _split(self.layout), context.scene.scanstage
-        _draw_lines(layout, settings.result_lines.splitlines() or ["no result"])
+        _draw_lines(layout, settings.result_lines.splitlines() or ["No result"])
+        if is_older(context.scene):
+            _draw_lines(layout, ["! There are newer pictures than this result: reconstruct again"])
         layout.prop(settings, "smooth")
         if shown_probabilities(context.scene):
             layout.prop(settings, "least_probability")

@@ -96,6 +96,8 @@ def _settings_fields() -> dict:
                                          description="Folder of the capture set. Empty: scanstage/capture beside this file, or in "
                                          "Blender's temporary folder, which goes with Blender, while the file is not saved"),
         "capture_state": StringProperty(description="What the last capture or import left"),
+        "capture_pixels": FloatProperty(description="Pixels of all captured frames together"),
+        "frame_seconds": FloatProperty(description="How long a frame of the last capture took"),
         "import_format": EnumProperty(name="Format", description="How the captures were calibrated", items=_items(IMPORTERS)),
         "method": EnumProperty(name="Method", description="How to reconstruct", items=_items(METHODS)),
         "voxels": IntProperty(name="Voxels", description="Along the longest side of the working volume; time and memory grow with "

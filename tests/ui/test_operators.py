@@ -22,6 +22,8 @@ from addon.results.page import page_of
 from addon.results.pictures import picture_files
 from addon.results.ply import read_ply
 from addon.stage.presets import PRESETS
+from addon.ui import forecast
+from addon.ui.operators.requirements import is_older
 
 
 @pytest.fixture
@@ -355,3 +357,42 @@ def test_a_thread_has_calls_made_by_who_runs_the_generator_and_is_refused_when_i
     next(generator)
     generator.close()
     assert seen == ["refused"]
+
+
+def test_one_frame_tells_what_the_others_take_and_is_kept(scene, tmp_path):
+    assert bpy.ops.scanstage.stage() == {'FINISHED'}
+    assert forecast.capture_cost(scene) == "6 frames: capture one to know the time"
+    assert bpy.ops.scanstage.test_frame() == {'FINISHED'}
+    settings, pictures = scene.scanstage, tmp_path / "scanstage" / "capture" / "images"
+    assert settings.capture_state == "1 of 6 frames captured" and settings.capture_pixels == 120 * 90
+    assert settings.frame_seconds > 0 and "about" in forecast.capture_cost(scene)
+    first, = pictures.iterdir()
+    written = first.stat().st_mtime_ns
+    assert bpy.ops.scanstage.test_frame() == {'FINISHED'}
+    assert settings.capture_state == "2 of 6 frames captured"
+    assert bpy.ops.scanstage.capture() == {'FINISHED'}
+    assert settings.capture_state == "6 of 6 frames captured" and settings.capture_pixels == 6 * 120 * 90
+    assert first.stat().st_mtime_ns == written
+
+
+def test_a_result_is_older_once_a_picture_is_captured_again(captured, tmp_path):
+    assert not is_older(captured)  # there is none
+    assert bpy.ops.scanstage.reconstruct() == {'FINISHED'}
+    assert not is_older(captured)
+    assert bpy.ops.scanstage.capture() == {'FINISHED'}
+    assert not is_older(captured)  # nothing was missing
+    (tmp_path / "scanstage" / "capture" / "images" / "0003.png").unlink()
+    assert bpy.ops.scanstage.capture() == {'FINISHED'}
+    assert is_older(captured)
+
+
+def test_the_forecast_of_a_reconstruction_follows_the_working_volume(scene):
+    settings = scene.scanstage
+    assert forecast.reconstruction_cost(settings)[0] == "40 x 40 x 40 voxels at most"
+    settings.use_bounds, settings.bounds_lower, settings.bounds_upper = True, (0, 0, 0), (0.2, 0.1, 0.05)
+    assert forecast.reconstruction_cost(settings)[0] == "40 x 20 x 10 voxels at most"
+    settings.bounds_upper = (-1, -1, -1)
+    assert forecast.reconstruction_cost(settings)[0].startswith("! ")
+    settings.use_bounds, settings.voxels = False, 16384
+    assert forecast.reconstruction_cost(settings)[1].startswith("! ")
+    assert [forecast.duration(s) for s in (0.2, 89, 600, 36000)] == ["1 s", "89 s", "10 min", "10.0 h"]

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,12 +38,22 @@ class SCANSTAGE_OT_capture(Job, bpy.types.Operator):
         return has_stage(cls, context) and idle(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
-        settings = context.scene.scanstage
-        folder = capture_folder(context.scene)
-        try:
-            yield from capture_frames(context.scene, folder)
-        finally:
-            settings.capture_state = capture_state(folder)
+        yield from timed_capture(context.scene)
+
+
+class SCANSTAGE_OT_test_frame(Job, bpy.types.Operator):
+    """Render one frame of those that are missing, to learn how long the others take; it is kept, and not rendered again"""
+
+    bl_idname = "scanstage.test_frame"
+    bl_label = "Capture One Frame"
+    bl_options = {'REGISTER'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_stage(cls, context) and idle(cls, context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
+        yield from timed_capture(context.scene, most=1)
 
 
 class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
@@ -68,7 +79,7 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
         settings = context.scene.scanstage
         folder = capture_folder(context.scene)
         yield from in_thread(import_capture, self.format, Path(self.filepath), folder)
-        settings.capture_state = capture_state(folder)
+        note_capture(settings, folder)
 
 
 class SCANSTAGE_OT_export_capture(bpy.types.Operator, ExportHelper):
@@ -130,13 +141,40 @@ class SCANSTAGE_OT_show_shadows(Job, bpy.types.Operator):
         show_shadows(context.scene, folder)
 
 
+def timed_capture(scene: bpy.types.Scene, most: int | None = None) -> Iterator[tuple[float, str]]:
+    """Capture all frames, or the next ``most``, and note in the scene's settings what is there then and how long a frame took."""
+    settings, folder = scene.scanstage, capture_folder(scene)
+    before, started = _counted(folder)[0], time.perf_counter()
+    try:
+        yield from capture_frames(scene, folder, most=most)
+    finally:
+        rendered = _counted(folder)[0] - before
+        if rendered > 0:
+            settings.frame_seconds = (time.perf_counter() - started) / rendered
+        note_capture(settings, folder)
+
+
+def note_capture(settings: bpy.types.PropertyGroup, folder: Path) -> None:
+    """Note in the scene's settings what a capture set holds."""
+    settings.capture_state, settings.capture_pixels = capture_state(folder), _counted(folder)[2]
+
+
 def capture_state(folder: Path) -> str:
     """Return in one phrase what a capture set holds."""
+    captured, planned, _ = _counted(folder)
+    return f"{captured} of {planned} frames captured" if planned else "no captures"
+
+
+def _counted(folder: Path) -> tuple[int, int, int]:
+    """Return how many frames are captured and planned, and the pixels of the former together."""
     try:
         capture = read_capture(folder, require_pictures=False)
     except ScanstageError:
-        return "no captures"
-    return f"{len(capture.frames) - len(capture.missing)} of {len(capture.frames)} frames captured"
+        return 0, 0, 0
+    missing = set(capture.missing)
+    sizes = [capture.cameras[frame.camera].size for frame in capture.frames if frame.id not in missing]
+    return len(sizes), len(capture.frames), sum(width * height for width, height in sizes)
 
 
-CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_import, SCANSTAGE_OT_export_capture, SCANSTAGE_OT_show_masks, SCANSTAGE_OT_show_shadows)
+CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_test_frame, SCANSTAGE_OT_import, SCANSTAGE_OT_export_capture, SCANSTAGE_OT_show_masks,
+           SCANSTAGE_OT_show_shadows)

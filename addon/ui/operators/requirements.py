@@ -51,3 +51,12 @@ def has_result(cls: type[bpy.types.Operator], context: bpy.types.Context) -> boo
         cls.poll_message_set("Reconstruct first")
         return False
     return True
+
+
+def is_older(scene: bpy.types.Scene) -> bool:
+    """Return whether pictures were captured after the result was made from them."""
+    pictures, result = capture_folder(scene) / "images", result_folder(scene) / results.VOLUME
+    try:
+        return result.stat().st_mtime < pictures.stat().st_mtime
+    except OSError:
+        return False  # one of the two is not there
