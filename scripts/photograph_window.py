@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 
 WALK = Path(__file__).resolve().with_name("window_walk.py")
-SIZE = ("1280", "800")
+SIZE = ("1280", "960")
 _MOST = 240  # seconds that a walk may take
 
 

@@ -8,6 +8,8 @@ holds ``walk.json``: what was found in the scene after each step, or the ``error
 
 import json
 import os
+import shutil
+import subprocess
 import sys
 import traceback
 from collections.abc import Iterator
@@ -42,10 +44,8 @@ def walk() -> Iterator[float]:
     rig.views, rig.resolution_x, rig.resolution_y = 6, 160, 120
     settings.voxels = 48
     bpy.ops.object.select_all(action='DESELECT')
-    with bpy.context.temp_override(**view):
-        bpy.ops.wm.call_panel(name="SCANSTAGE_PT_gallery")
-    yield from _look(view, "1-gallery")
-    for number, name in enumerate(("stage", "test_frame", "capture", "reconstruct", "evaluate"), 2):
+    bpy.data.objects["Cube"].hide_set(True)  # ten times as large as what is scanned
+    for number, name in enumerate(("stage", "test_frame", "capture", "reconstruct", "evaluate"), 1):
         with bpy.context.temp_override(**view):
             getattr(bpy.ops.scanstage, name)('INVOKE_DEFAULT')
             job = bpy.context.window_manager.scanstage_job
@@ -58,8 +58,11 @@ def walk() -> Iterator[float]:
                        "result": settings.result_lines, "measured": bool(settings.measures)}
     with bpy.context.temp_override(**view):
         bpy.ops.scanstage.remove_stage()
-    yield from _look(view, "7-removed")
+    yield from _look(view, "6-removed")
     found["removed"] = {"objects": sorted(bpy.context.scene.objects.keys())}
+    with bpy.context.temp_override(**view):
+        bpy.ops.wm.call_panel(name="SCANSTAGE_PT_gallery")
+    yield from _look(view, "7-gallery")
 
 
 def _look(view: dict, name: str) -> Iterator[float]:
@@ -68,8 +71,12 @@ def _look(view: dict, name: str) -> Iterator[float]:
         for region in area.regions:
             region.tag_redraw()
     yield DRAWN
+    picture = str(OUT / f"{name}.png")
+    if shutil.which("import"):  # ImageMagick's: of a window drawn by software, Blender's own screenshot is black
+        subprocess.run(["import", "-window", "root", "-resize", "1280x>", picture], check=True)
+        return
     with bpy.context.temp_override(**view):
-        bpy.ops.screen.screenshot(filepath=str(OUT / f"{name}.png"))
+        bpy.ops.screen.screenshot(filepath=picture)
 
 
 def _end() -> None:

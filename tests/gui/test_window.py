@@ -5,10 +5,13 @@
 Run with ``SCANSTAGE_BLENDER``, as `scripts/photograph_window.py` says.
 """
 
+import itertools
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from addon.captures.pictures import read_picture
 from scripts.build_extension import ROOT
 from scripts.photograph_window import blender_command, photograph
 
@@ -45,5 +48,8 @@ def test_each_step_leaves_in_the_scene_what_it_should(walked):
 
 
 def test_the_window_is_photographed_at_each_step(walked):
-    pictures = sorted(path.stem for path in walked[2].glob("*.png"))
-    assert [name[0] for name in pictures] == list("01234567")
+    pictures = sorted(walked[2].glob("*.png"))
+    assert [path.name[0] for path in pictures] == list("01234567")
+    shown = [read_picture(path, "srgb")[0] for path in pictures]
+    assert all(picture.std() > 0.02 for picture in shown)  # not one of a single colour
+    assert all(not np.array_equal(before, after) for before, after in itertools.pairwise(shown))
