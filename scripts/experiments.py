@@ -31,7 +31,7 @@ def perform(name, out, bar):
     from experiments import EXPERIMENTS
 
     if name is None:
-        print("\n".join(f"{experiment.name:<14} {experiment.description}" for experiment in EXPERIMENTS.values()))
+        print("\n".join(f"{experiment.name:<20} {experiment.description}" for experiment in EXPERIMENTS.values()))
         return 0
     if name != "all" and name not in EXPERIMENTS:
         print(f"experiments: error: there is no experiment {name!r}; they are: {', '.join(EXPERIMENTS)}, all", file=sys.stderr)
