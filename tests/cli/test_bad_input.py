@@ -114,7 +114,7 @@ def test_what_is_not_there_or_something_else_is_named(capfd, place, arguments, n
     ("capture stage.blend --out new --set views=3", ["capture has no options", "views"]),
     ("calibrate capture --out new --set lens=none", ["calibrate has no option 'lens'", "camera_lens"]),
     ("import board capture/images --out new --set square=0", ["option square"]),
-    ("import colmap capture --out new", ["'colmap'", "middlebury"]),
+    ("import meshroom capture --out new", ["'meshroom'", "middlebury"]),
     ("import opencv capture/capture.json --out new --set scale=2", ["import opencv has no option 'scale'"]),
     ("reconstruct capture marching-cubes --out new", ["'marching-cubes'", "visual-hull"]),
     (f"{RECONSTRUCT} --set detail=3", ["method visual-hull has no option 'detail'", "tolerance"]),

@@ -134,7 +134,10 @@ def read_matrix(node: cv2.FileNode, place: str) -> np.ndarray:
     if node.isSeq():
         shape, data = (1, node.size()), node
     elif _is_matrix(node):
-        shape, data = tuple(int(node.getNode(name).real()) for name in ("rows", "cols")), node.getNode("data")
+        shape, data = [node.getNode(name).real() for name in ("rows", "cols")], node.getNode("data")
+        if not all(0 <= side <= 16 for side in shape):  # a damaged file may say infinity
+            return np.zeros(0)
+        shape = tuple(map(int, shape))
     else:
         return np.zeros(0)
     if not 0 < shape[0] * shape[1] <= 16:
