@@ -8,9 +8,10 @@
 - `calibrating`: the operator that calibrates the devices of a capture set.
 - `panels`: draw, and nothing else.
 - `devices`: projectors and lasers by hand.
+- `view_panels`: what is drawn over the 3-D views by `overlays`, in the colours of `coverage`, from what `watching` knows of the rig.
 """
 
-from . import calibrating, devices, operators, panels, properties
+from . import calibrating, devices, operators, panels, properties, view_panels
 
 
 def register() -> None:
@@ -20,10 +21,12 @@ def register() -> None:
     calibrating.register()
     panels.register()
     devices.register()
+    view_panels.register()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse."""
+    view_panels.unregister()
     devices.unregister()
     panels.unregister()
     calibrating.unregister()

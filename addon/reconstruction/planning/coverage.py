@@ -106,6 +106,11 @@ class Surveyor:
         What hides and is hidden.
     corners : (n, 3, 3) array
         The triangles that are asked about: the mesh's, or parts of them.
+
+    Attributes
+    ----------
+    normals : (n, 3) array
+        Theirs, of unit length.
     """
 
     mesh: TriangleMesh
@@ -117,7 +122,7 @@ class Surveyor:
         across = np.cross(b - a, c - a)
         length = np.linalg.norm(across, axis=1)
         self._points, self._areas = (a + b + c) / 3, length / 2
-        self._normals = across / np.maximum(length, 1e-300)[:, None]
+        self.normals = across / np.maximum(length, 1e-300)[:, None]
         lower, upper = self.mesh.bounds()
         self._middle, self._size = (lower + upper) / 2, float(np.linalg.norm(upper - lower))
 
@@ -166,7 +171,7 @@ class Surveyor:
         key = self._key(place)
         used.add(key)
         if key not in self._sights:
-            self._sights[key] = Sight(self.mesh, place).sees(self._points, self._normals)
+            self._sights[key] = Sight(self.mesh, place).sees(self._points, self.normals)
         return self._sights[key]
 
     def _in_picture(self, device: Camera, used: set[bytes]) -> np.ndarray:
@@ -184,7 +189,7 @@ class Surveyor:
         """Return how many pixels lie on a unit of area: ``f^2 cos(incidence) / (distance^2 cos(off axis)^3)``."""
         way = self._points - projector.centre
         distance = np.maximum(np.linalg.norm(way, axis=1), 1e-300)
-        facing = -np.einsum("ij,ij->i", way, self._normals) / distance
+        facing = -np.einsum("ij,ij->i", way, self.normals) / distance
         off_axis = np.maximum(way @ projector.forward / distance, 1e-9)
         return projector.K[0, 0] * projector.K[1, 1] * np.maximum(facing, 0) / (distance ** 2 * off_axis ** 3)
 
@@ -208,7 +213,7 @@ class Surveyor:
         rows = information[:, 0], information[:, 1], information[:, 2]
         adjugate = np.stack([np.cross(rows[(k + 1) % 3], rows[(k + 2) % 3]) for k in range(3)], axis=1)
         determinant = np.einsum("ij,ij->i", rows[0], adjugate[:, 0])
-        squared = np.einsum("ij,ijk,ik->i", self._normals, adjugate, self._normals)
+        squared = np.einsum("ij,ijk,ik->i", self.normals, adjugate, self.normals)
         trace = np.einsum("ijj->i", information)
         known = determinant > _SINGULAR * trace ** 3
         return np.sqrt(np.divide(np.maximum(squared, 0), determinant, out=np.full(len(squared), np.inf), where=known))
