@@ -23,6 +23,7 @@
     python3 scripts/figures.py pit             how far the pot's pit is opened from 25, 45 and 60 degrees (minutes)
     python3 scripts/figures.py adversities     lost shadows, dark paint, a glaze, lights that are not where they are said to be
     python3 scripts/figures.py shadows         all four
+    python3 scripts/figures.py live-hull       how quickly the hull in the viewport follows a camera
 
 Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
 SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
@@ -35,6 +36,7 @@ import tempfile
 from pathlib import Path
 
 import color_figures
+import live_hull_figures
 import probability_figures
 import session
 import shadow_figures
@@ -56,7 +58,7 @@ def main():
     tables = {"objects": [objects], "photographs": [photographs], "both": [objects, photographs],
               "structured-light": [active], "calibration": [calibration]}
     tables |= {name: [print_table] for name, print_table in {**color_figures.TABLES, **probability_figures.TABLES,
-                                                              **shadow_figures.TABLES}.items()}
+                                                              **shadow_figures.TABLES, **live_hull_figures.TABLES}.items()}
     tables |= {"colour": list(color_figures.TABLES.values()), "probability": list(probability_figures.TABLES.values()),
                "shadows": list(shadow_figures.TABLES.values())}
     parser.add_argument("table", nargs="?", choices=tables, default="both")

@@ -93,22 +93,23 @@ def sketch_views(scene: bpy.types.Scene, shots: Sequence[Shot]) -> Iterator[Sket
         yield Sketch(VIEW, np.concatenate((_loop(corners), _spokes(camera.centre, corners))), active=False)
 
 
-def sketch_volume(scene: bpy.types.Scene, grid: VoxelGrid) -> Sketch:
-    """Return the working volume, which turns with the object, with a patch of its voxels at the lower corner."""
+def sketch_volume(scene: bpy.types.Scene, grid: VoxelGrid) -> Iterator[Sketch]:
+    """Yield the working volume, which turns with the object, and a patch of its voxels at the lower corner."""
     motion = rigid_motion(turntable_of(scene))
     lower, upper = grid.origin, grid.upper
-    box = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    edges = [(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit]
-    lines = [(lower + box * (upper - lower))[np.array(edges)]]
-    count = np.minimum(_PATCH, np.array(grid.shape))
+    box = lower + (upper - lower) * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    edges = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
+    count, rows = np.minimum(_PATCH, np.array(grid.shape)), []
     for normal in range(3):
         for along, across in ((normal - 1, normal - 2), (normal - 2, normal - 1)):
-            rows = np.zeros((count[across] + 1, 2, 3))
-            rows[:, :, across] = np.arange(count[across] + 1)[:, None]
-            rows[:, 1, along] = count[along]
-            lines.append(lower + grid.voxel_size * rows)
-    return Sketch(VOLUME, np.concatenate(lines) @ motion[:3, :3].T + motion[:3, 3], anchor=motion[:3, :3] @ lower + motion[:3, 3],
-                  label="voxel " + bpy.utils.units.to_string('METRIC', 'LENGTH', grid.voxel_size, precision=3, split_unit=False))
+            row = np.zeros((count[across], 2, 3))  # all but the first, which lies on an edge of the box
+            row[:, :, across] = 1 + np.arange(count[across])[:, None]
+            row[:, 1, along] = count[along]
+            rows.append(lower + grid.voxel_size * row)
+    size = bpy.utils.units.to_string('METRIC', 'LENGTH', grid.voxel_size, precision=3, split_unit=False)
+    for lines, label, active in ((box[edges], "", True), (np.concatenate(rows), f"voxel {size}", False)):
+        lines = lines @ motion[:3, :3].T + motion[:3, 3]
+        yield Sketch(VOLUME, lines, label=label, anchor=motion[:3, :3] @ lower + motion[:3, 3], active=active)
 
 
 def sketch_turntable(scene: bpy.types.Scene, stops: np.ndarray) -> Sketch:

@@ -34,7 +34,7 @@ _WIDTH = {True: 1.8, False: 1.0}  # of lines, in pixels: of what takes part in t
 _ALPHA = {True: 0.9, False: 0.4}
 _BEHIND = 0.16  # of a line's alpha, where something is before it
 _FACE_ALPHA = 0.13
-_NEARER = 0.998  # of its distance: where coverage is drawn, so that it lies on the surface
+_ON_SURFACE, _BEFORE_SURFACE = 0.998, 0.994  # of the distance: where coverage and hull are drawn, so that they lie on the object
 _TEXT, _SMALL = 12, 11
 _INK, _PLATE = (0.95, 0.95, 0.95, 1.0), (0.08, 0.08, 0.09, 0.62)
 _EDGE, _SWATCH, _ROW, _LEGEND_WIDTH = 18, 14, 19, 190
@@ -72,7 +72,7 @@ def sketches_of(scene: bpy.types.Scene, settings: bpy.types.PropertyGroup) -> It
             yield sketch.sketch_turntable(scene, _stops())
         grid = watching.working_grid(scene) if settings.volume else None
         if grid is not None:
-            yield sketch.sketch_volume(scene, grid)
+            yield from sketch.sketch_volume(scene, grid)
     except ScanstageError:
         return  # the turntable was deleted: the panel says so
 
@@ -138,13 +138,11 @@ def _draw_surfaces(context: bpy.types.Context, settings: bpy.types.PropertyGroup
     pose = Matrix(readback.rigid_motion(readback.turntable_of(context.scene)).tolist())
     gpu.state.depth_mask_set(True)
     if _drawn.coverage is not None and settings.coverage != 'NONE':
-        with gpu.matrix.push_pop():
-            gpu.matrix.load_matrix(Matrix.Diagonal((*[_NEARER] * 3, 1.0)) @ gpu.matrix.get_model_view_matrix() @ pose)
+        with _nearer(_ON_SURFACE, pose):
             _drawn.coverage.draw(shader)
     if _drawn.hull is not None and settings.live_hull:
         gpu.state.face_culling_set('BACK')
-        with gpu.matrix.push_pop():
-            gpu.matrix.multiply_matrix(pose)
+        with _nearer(_BEFORE_SURFACE, pose):
             _drawn.hull.draw(shader)
         gpu.state.face_culling_set('NONE')
     gpu.state.depth_mask_set(False)
@@ -254,6 +252,14 @@ def length_text(value: float) -> str:
         if value >= size or size == 1e-6:
             return f"{value / size:.3g} {unit}"
     return ""
+
+
+@contextmanager
+def _nearer(share: float, pose: Matrix) -> Iterator[None]:
+    """Draw what stands at ``pose`` at a share of its distance from the eye: at the same place of the picture, before what is there."""
+    with gpu.matrix.push_pop():
+        gpu.matrix.load_matrix(Matrix.Diagonal((share, share, share, 1.0)) @ gpu.matrix.get_model_view_matrix() @ pose)
+        yield
 
 
 @contextmanager

@@ -9,7 +9,6 @@ read where it stands.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 import bpy
@@ -60,7 +59,7 @@ class Watched:
     problem: str = ""
     version: int = 0
     plan_key: tuple = ()
-    mesh_key: bytes = b""
+    mesh_key: tuple = ()
     hull_key: tuple = ()
     hull_voxels: int = 0
     coverage_key: tuple = ()
@@ -68,7 +67,6 @@ class Watched:
     plan_is_old: bool = True
     mesh_is_old: bool = True
     reading: bool = False  # the plan, which moves the scene through its frames
-    moved_at: float = 0.0
 
 
 watched = Watched()
@@ -137,8 +135,8 @@ def _read(scene: bpy.types.Scene) -> None:
         watched.plan_is_old = False
     watched.shots = survey.shots_of(scene, survey.with_present_devices(scene, watched.plan))
     to_table = np.linalg.inv(np.array(table.matrix_world))
-    key = b"".join(np.round(to_table @ np.array(member.matrix_world), 5).tobytes() + bytes([member.visible_get()])
-                   for member in readback.staged_objects(scene))
+    key = tuple((member.session_uid, member.visible_get(), np.round(to_table @ np.array(member.matrix_world), 5).tobytes())
+                for member in readback.staged_objects(scene))
     if watched.mesh_is_old or key != watched.mesh_key:
         mesh = survey.viewport_mesh(scene)
         if mesh is None:
@@ -146,7 +144,7 @@ def _read(scene: bpy.types.Scene) -> None:
         watched.mesh, watched.mesh_key = survey.workable(mesh), key
         watched.outliner, watched.surveyor = Outliner(watched.mesh), survey.surveyor_of(watched.mesh)
         watched.hull_key, watched.coverage_key = (), ()
-        watched.staged = frozenset(o.session_uid for o in readback.staged_objects(scene))
+        watched.staged = frozenset(uid for uid, _, _ in key)
         watched.mesh_is_old = False
 
 
@@ -166,7 +164,6 @@ def on_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         kind = update.id.bl_rna.identifier
         watched.plan_is_old |= kind == "Action"
         watched.mesh_is_old |= update.is_updated_geometry and update.id.original.session_uid in watched.staged
-    watched.moved_at = time.monotonic()
     soon()
 
 
@@ -187,9 +184,14 @@ def on_undo(*_) -> None:
 
 
 def soon() -> None:
-    """Look as soon as Blender has time."""
-    if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.register(_tick, first_interval=_SOON)
+    """Look quickly as soon as Blender has time, and closely when nothing has moved for a while."""
+    if bpy.app.background:
+        return
+    if not bpy.app.timers.is_registered(_look_quickly):
+        bpy.app.timers.register(_look_quickly, first_interval=_SOON)
+    if bpy.app.timers.is_registered(_look_closely):
+        bpy.app.timers.unregister(_look_closely)
+    bpy.app.timers.register(_look_closely, first_interval=_REST)
 
 
 def wanted() -> bool:
@@ -198,20 +200,28 @@ def wanted() -> bool:
     return settings is not None and (settings.overlays or settings.live_hull or settings.coverage != 'NONE')
 
 
-def _tick() -> float | None:
-    """Look quickly, and again more closely when nothing has moved for a while."""
-    manager, scene = bpy.context.window_manager, bpy.context.scene
-    if not wanted() or scene is None:
+def _look_quickly() -> float | None:
+    settings = bpy.context.window_manager.scanstage_view
+    return _look(hull=QUICK * settings.live_hull)
+
+
+def _look_closely() -> float | None:
+    settings = bpy.context.window_manager.scanstage_view
+    return _look(hull=FINE * settings.live_hull, coverage=settings.pixel_error * (settings.coverage != 'NONE'))
+
+
+def _look(**closely) -> float | None:
+    """Look from a timer, if nothing else is at work; return when to try again otherwise."""
+    manager = bpy.context.window_manager
+    if not wanted() or ownership.find_stage(bpy.context.scene) is None:
         return None
     if manager.scanstage_job.running or bpy.app.is_job_running('RENDER') or any(w.screen.is_animation_playing for w in manager.windows):
         return _WAIT
-    rests = time.monotonic() - watched.moved_at > _REST
-    settings, version = manager.scanstage_view, watched.version
-    look(scene, hull=(FINE if rests else QUICK) * settings.live_hull,
-         coverage=settings.pixel_error * (rests and settings.coverage != 'NONE'))
-    if watched.version != version or not rests:
+    version = watched.version
+    look(bpy.context.scene, **closely)
+    if watched.version != version:
         redraw()
-    return None if rests else _REST
+    return None
 
 
 def redraw() -> None:
@@ -233,8 +243,9 @@ def register() -> None:
 
 def unregister() -> None:
     """Stop following."""
-    if bpy.app.timers.is_registered(_tick):
-        bpy.app.timers.unregister(_tick)
+    for timer in (_look_quickly, _look_closely):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     for handlers in (bpy.app.handlers.redo_post, bpy.app.handlers.undo_post):
         handlers.remove(on_undo)
     bpy.app.handlers.load_post.remove(on_load)

@@ -117,13 +117,14 @@ def test_views_stand_where_the_object_sees_the_cameras(scene):
 def test_the_working_volume_turns_with_the_object_and_shows_its_voxels(scene):
     staged(scene, "turntable", "knot", views=4)
     grid = VoxelGrid.from_bounds((-0.1, -0.2, 0.0), (0.1, 0.2, 0.3), 40)
-    first = sketch.sketch_volume(scene, grid).lines
-    assert len(first) == 12 + 3 * 2 * 9
-    assert np.allclose(np.linalg.norm(first[12:, 1] - first[12:, 0], axis=1), 8 * grid.voxel_size)
+    box, patch = sketch.sketch_volume(scene, grid)
+    assert len(box.lines) == 12 and len(patch.lines) == 3 * 2 * 8
+    assert np.allclose(np.linalg.norm(patch.lines[:, 1] - patch.lines[:, 0], axis=1), 8 * grid.voxel_size)
+    first = box.lines
     assert np.allclose(first.reshape(-1, 3).min(0) - np.array(readback.turntable_of(scene).location), grid.origin)
     scene.frame_set(2)
     motion = readback.rigid_motion(readback.turntable_of(scene))
-    assert np.allclose(sketch.sketch_volume(scene, grid).lines, (first - motion[:3, 3]) @ motion[:3, :3].T + motion[:3, 3])
+    assert np.allclose(next(sketch.sketch_volume(scene, grid)).lines, (first - motion[:3, 3]) @ motion[:3, :3].T + motion[:3, 3])
 
 
 def test_the_turntable_has_a_mark_for_each_stop(scene):
@@ -235,6 +236,8 @@ def test_a_changed_object_is_read_again(scene):
     assert "show it in the viewport" in watching.look(scene, hull=24).problem
     member.hide_set(False)
     assert not watching.look(scene, hull=24).problem
+    staged(scene, "turntable", "pot", views=2)
+    assert len(watching.look(scene, hull=24).mesh.triangles) == len(survey.viewport_mesh(scene).triangles) != len(first.triangles)
 
 
 def test_nothing_that_is_drawn_is_in_the_file(scene, tmp_path):
