@@ -26,6 +26,10 @@
     python3 scripts/figures.py shadows         all four
     python3 scripts/figures.py stripes         coloured stripes, simulated: edges matched, a rod in front, seven pictures
     python3 scripts/figures.py dynamic-programming    how fast scanlines are matched
+    python3 scripts/figures.py speckle         a depth sensor before walls at 0.5 to 5 m
+    python3 scripts/figures.py stereo          two cameras beside projectors, with a texture and without (rendered)
+    python3 scripts/figures.py desk-shadow     a lamp and a stick: simulated, and a photographed bowl
+    python3 scripts/figures.py live-hull       how quickly the hull in the viewport follows a camera
 
 Exit status 1 if a figure is missed. The photographs are not part of the project: they are looked for in the folder that
 SCANSTAGE_DATA names, and a set that is not there is left out. It makes its own environment on first use.
@@ -40,6 +44,7 @@ from pathlib import Path
 import color_figures
 import depth_figures
 import desk_figures
+import live_hull_figures
 import one_shot_figures
 import probability_figures
 import session
@@ -63,7 +68,8 @@ def main():
               "structured-light": [active], "calibration": [calibration]}
     tables |= {name: [print_table] for name, print_table in {**color_figures.TABLES, **probability_figures.TABLES,
                                                               **shadow_figures.TABLES, **one_shot_figures.TABLES,
-                                                              **desk_figures.TABLES, **depth_figures.TABLES}.items()}
+                                                              **desk_figures.TABLES, **depth_figures.TABLES,
+                                                              **live_hull_figures.TABLES}.items()}
     tables |= {"colour": list(color_figures.TABLES.values()), "probability": list(probability_figures.TABLES.values()),
                "shadows": list(shadow_figures.TABLES.values())}
     parser.add_argument("table", nargs="?", choices=tables, default="both")

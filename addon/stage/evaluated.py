@@ -74,7 +74,7 @@ def render_mesh(scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> 
         scene.camera = camera
         if stand_in is not None:
             bpy.data.cameras.remove(stand_in.data)
-    return _joined(parts)
+    return joined(parts)
 
 
 def mesh_triangles(mesh: bpy.types.Mesh, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,7 +90,8 @@ def mesh_triangles(mesh: bpy.types.Mesh, to_world: np.ndarray) -> tuple[np.ndarr
     return vertices, triangles[:, ::-1] if mirrored else triangles
 
 
-def _joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def joined(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and triangles of several meshes as those of one."""
     first = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     vertices = [np.zeros((0, 3))] + [vertices for vertices, _ in parts]
     triangles = [np.zeros((0, 3), np.int32)] + [corners + np.int32(start)

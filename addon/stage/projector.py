@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import bpy
 
@@ -182,17 +183,22 @@ def update_frustum(owner: bpy.types.Object, distance: float | None = None) -> No
     devices.draw_outline(owner, values, distance, lambda reach: _frustum(optics, reach))
 
 
-def _frustum(optics: Camera, distance: float) -> tuple[list[list[float]], list[tuple[int, int]]]:
-    """Return the vertices and edges of a frustum in the axes of Blender's lights: the picture's border, and its corners' rays."""
+def border_rays(optics: Camera) -> np.ndarray:
+    """Return the rays (64, 3), of unit depth, through the border of the picture, clockwise from its top left; every 16th is a corner."""
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float64) * optics.size - 0.5
     share = np.arange(_EDGE_STEPS)[:, None] / _EDGE_STEPS
     border = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
     straight = cv2.undistortPoints(border[:, None], optics.K, optics.distortion, P=optics.K)[:, 0]
-    lit = np.abs(optics.project(optics.rays(straight))[0] - border).max(axis=1) < 1  # not so where the lens folds its picture back
-    straight = np.where(lit[:, None], straight, border)
-    rim = optics.rays(straight) * (distance, -distance, -distance)
+    lens = replace(optics, R=np.eye(3), t=np.zeros(3))
+    lit = np.abs(lens.project(lens.rays(straight))[0] - border).max(axis=1) < 1  # not so where the lens folds its picture back
+    return optics.rays(np.where(lit[:, None], straight, border))
+
+
+def _frustum(optics: Camera, distance: float) -> tuple[list[list[float]], list[tuple[int, int]]]:
+    """Return the vertices and edges of a frustum in the axes of Blender's lights: the picture's border, and its corners' rays."""
+    rim = border_rays(optics) * (distance, -distance, -distance)
     count = len(rim)
-    edges = [*((i, (i + 1) % count) for i in range(count)), *((count, i * _EDGE_STEPS) for i in range(len(corners)))]
+    edges = [*((i, (i + 1) % count) for i in range(count)), *((count, i) for i in range(0, count, _EDGE_STEPS))]
     return np.vstack((rim, np.zeros(3))).tolist(), edges
 
 

@@ -189,7 +189,7 @@ def plan_of(scene: bpy.types.Scene) -> CapturePlan:
             camera = cameras.id_of(scene.camera, camera_of(scene, scene.camera))
             lit = tuple(lights.id_of(o, light_of(o)) for o in _lights_on(scene))
             place = None if board is None else places.id_by_name("pose", board, np.array(board.matrix_basis).tobytes())
-            frames.append(PlannedFrame(number, camera, _rigid(turntable), lit, _shown(scene, projectors, patterns), place))
+            frames.append(PlannedFrame(number, camera, rigid_motion(turntable), lit, _shown(scene, projectors, patterns), place))
     return CapturePlan(cameras.found, lights.found, tuple(frames), projectors.found, patterns.found, board and board_of(board))
 
 
@@ -212,7 +212,7 @@ def truth_mesh(scene: bpy.types.Scene) -> tuple[np.ndarray, np.ndarray]:
     with frame_kept(scene):
         scene.frame_set(scene.frame_start)
         vertices, triangles = render_mesh(scene, staged_objects(scene))
-        motion = _rigid(turntable)
+        motion = rigid_motion(turntable)
     if not len(triangles):
         raise ScanstageError(f"the staged object of scene {scene.name!r} has no faces that are rendered: "
                              "show it in renders, or stage another object")
@@ -312,7 +312,8 @@ def _rotation(world: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
-def _rigid(turntable: bpy.types.Object) -> np.ndarray:
+def rigid_motion(turntable: bpy.types.Object) -> np.ndarray:
+    """Return the (4, 4) rigid motion from the object frame to the world at the present frame; a turntable's scale has no part in it."""
     world = np.array(turntable.matrix_world)
     motion = np.eye(4)
     motion[:3, :3], motion[:3, 3] = _rotation(world), world[:3, 3]

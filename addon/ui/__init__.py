@@ -11,9 +11,10 @@
 - `calibrating`: the operator that calibrates the devices of a capture set.
 - `panels`: draw, and nothing else.
 - `devices`: projectors and lasers by hand.
+- `view_panels`: what is drawn over the 3-D views by `overlays`, in the colours of `coverage`, from what `watching` knows of the rig.
 """
 
-from . import adding, calibrating, devices, gallery, operators, panels, properties
+from . import adding, calibrating, devices, gallery, operators, panels, properties, view_panels
 
 
 def register() -> None:
@@ -25,10 +26,12 @@ def register() -> None:
     panels.register()
     devices.register()
     adding.register()
+    view_panels.register()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse."""
+    view_panels.unregister()
     adding.unregister()
     devices.unregister()
     panels.unregister()

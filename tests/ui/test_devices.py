@@ -123,7 +123,11 @@ def test_bad_input_is_reported(scene, tmp_path):
 
 
 def test_registering_leaves_nothing_behind(scene):
-    handlers = len(bpy.app.handlers.depsgraph_update_post)
+    def ours():
+        return [handler for name in dir(bpy.app.handlers) if isinstance(handlers := getattr(bpy.app.handlers, name), list)
+                for handler in handlers if getattr(handler, "__module__", "").startswith("addon.")]
+
+    assert ours()
     addon.unregister()
-    assert len(bpy.app.handlers.depsgraph_update_post) == handlers - 1
+    assert not ours() and not hasattr(bpy.types.WindowManager, "scanstage_view")
     addon.register()

@@ -209,7 +209,7 @@ def _hits(surface: Surface, grid: VoxelGrid, camera: Camera,
             voxel = surface.face_voxel.take(face)
             cells = np.take(surface.voxels.T, voxel, axis=1)
             cells[axis] += upper
-            for box, u, v in _box_pixels(_boxes(pixels, surface.quads.take(face, axis=0), camera)):
+            for box, u, v in box_pixels(_boxes(pixels, surface.quads.take(face, axis=0), camera)):
                 hit, depth = _met(rays, eye, cells, axis, box, u, v)
                 yield (v.take(hit) * camera.size[0] + u.take(hit), depth * grid.voxel_size, face.take(box.take(hit)))
 
@@ -266,7 +266,7 @@ def _boxes(pixels: np.ndarray, quads: np.ndarray, camera: Camera) -> np.ndarray:
     return np.array(first + count).astype(np.int64)
 
 
-def _box_pixels(box: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def box_pixels(box: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield the pixels of boxes (4, n) in bounded parts: number of the box, column u, row v; (m,) int64 each."""
     filled = np.flatnonzero(box[2] * box[3])
     u0, v0, columns, rows = box[:, filled]
