@@ -63,6 +63,7 @@ def _stage_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", metavar="FILE.blend", required=True, type=Path)
     parser.add_argument("--object", metavar="NAME or FILE", default=DEFAULT_OBJECT,
                         help=f"a built-in object (`presets` lists them) or a mesh file (default: {DEFAULT_OBJECT})")
+    parser.add_argument("--coverage", action="store_true", help="also tell what share of the object's surface the rig misses")
 
 
 def _stage(call: argparse.Namespace, progress: Progress) -> dict:
@@ -71,14 +72,17 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     from ..results.blend import new_file, save_blend
     from ..stage.readback import plan_of
     from ..stage.staging import build
+    from ..stage.survey import survey
 
     new_file()
     progress(0.1, "Building the stage")
     build(bpy.context.scene, call.preset, call.object, dict(call.settings))
     plan = plan_of(bpy.context.scene)
+    missed = survey(bpy.context.scene).summary() if call.coverage else {}
     save_blend(call.out)
-    return {"file": str(call.out), "frames": len(plan.frames), "cameras": len(plan.cameras),
-            "lines": [f"{call.out}: {call.preset}, {len(plan.frames)} frames, {len(plan.cameras)} camera(s)"]}
+    return {"file": str(call.out), "frames": len(plan.frames), "cameras": len(plan.cameras), **({"coverage": missed} if missed else {}),
+            "lines": [f"{call.out}: {call.preset}, {len(plan.frames)} frames, {len(plan.cameras)} camera(s)",
+                      *(f"{name}: {value:.4g}" for name, value in missed.items() if value is not None)]}
 
 
 def _capture_arguments(parser: argparse.ArgumentParser) -> None:

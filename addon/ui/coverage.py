@@ -22,7 +22,7 @@ SHOWN = (
 NEVER = np.array([0.62, 0.09, 0.16])  # of what nothing reaches
 _TITLES = {'VIEWS': "Views", 'LIGHTS': "Lights", 'PIXELS': "Projector pixels per square mm", 'ERROR': "Expected depth error"}
 _STEPS = 6  # swatches of a legend
-_TAIL = 95.0  # percent of the surface within the ramp: the rest has its last colour
+_ENDS = 5.0, 95.0  # percent of the triangles between which the ramp runs: the rest has its first or last colour
 _LIGHT = np.array([0.35, -0.5, 0.79])  # from the front, above: the form is seen, however the view is turned
 _SQUARE_MM = 1e-6
 
@@ -90,10 +90,10 @@ def _of_amounts(values: np.ndarray, there: np.ndarray, title: str, none: str, te
     entries = [(NEVER, none)] if not there.all() else []
     if not there.any():
         return np.broadcast_to(NEVER, (len(values), 3)), Legend(title, tuple(entries))
-    low, high = values[there].min(), np.percentile(values[there], _TAIL)
+    low, high = np.percentile(values[there], _ENDS)
     share = np.clip((np.where(there, values, low) - low) / max(high - low, 1e-12 * high), 0, 1)
     colors = np.where(there[:, None], ramp(1 - share if turned else share), NEVER)
     for step in np.linspace(0, 1, _STEPS):
-        amount = text(low + step * (high - low))
-        entries.append((ramp(1 - step if turned else step), amount if step < 1 else f"{amount} and more"))
+        amount = text(low + step * (high - low)) + {0.0: " and less", 1.0: " and more"}.get(step, "")
+        entries.append((ramp(1 - step if turned else step), amount))
     return colors, Legend(title, tuple(entries))

@@ -276,6 +276,17 @@ def test_stage_capture_reconstruct_evaluate_and_every_ending(run, tmp_path):
     assert found["surface"]["hausdorff"] < 1e-6  # its own faces, to six decimals
 
 
+def test_a_stage_tells_what_its_rig_misses(run, tmp_path):
+    found = []
+    for views in (2, 8):
+        status, out, _ = run("stage", "turntable", "--object", "knot", "--coverage", "--out", tmp_path / "stage.blend", "--set", f"views={views}",
+                             "--report", tmp_path / "report.json")
+        found.append(json.loads((tmp_path / "report.json").read_text())["coverage"])
+        assert status == 0 and f"seen_by_less_than_1: {found[-1]['seen_by_less_than_1']:.4g}\n" in out
+    assert found[0]["seen_by_less_than_3"] == 1 > found[1]["seen_by_less_than_3"]
+    assert found[0]["seen_by_less_than_1"] > found[1]["seen_by_less_than_1"]
+
+
 def test_an_interrupted_capture_lists_what_it_lacks_and_goes_on(run, tmp_path, monkeypatch):
     """Ctrl-C comes while a step is reported."""
     stage, capture = tmp_path / "stage.blend", tmp_path / "capture"

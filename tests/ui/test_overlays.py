@@ -283,7 +283,7 @@ def test_counts_have_colours_of_their_own_and_amounts_a_ramp():
     for color, text in legend.entries[1:]:
         assert text not in ("1", "2", "24") or (colors[[1, 2, 24].index(int(text)) + 1] == pytest.approx(color))
     colors, legend = coverage.colors_of(made(depth_error=np.array([1e-4, 2e-4, 3e-4, np.inf])), 'ERROR', overlays.length_text)
-    assert (colors[3] == coverage.NEVER).all() and legend.entries[0][1] == "no depth" and legend.entries[1][1] == "100 \u00b5m"
+    assert (colors[3] == coverage.NEVER).all() and legend.entries[0][1] == "no depth" and legend.entries[1][1] == "110 \u00b5m and less"
     assert colors[0].sum() > colors[1].sum() > colors[2].sum()  # the better, the brighter
     assert len(coverage.colors_of(made(), 'PIXELS', str)[1].entries) == 1
 
