@@ -135,7 +135,10 @@ def _draw_lines(context: bpy.types.Context, share: float) -> None:
 def _draw_surfaces(context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
     """Draw coverage and hull at the object's present pose."""
     shader = gpu.shader.from_builtin('SMOOTH_COLOR')
-    pose = Matrix(readback.rigid_motion(readback.turntable_of(context.scene)).tolist())
+    try:
+        pose = Matrix(readback.rigid_motion(readback.turntable_of(context.scene)).tolist())
+    except ScanstageError:  # it was deleted just now
+        return
     gpu.state.depth_mask_set(True)
     if _drawn.coverage is not None and settings.coverage != 'NONE':
         with _nearer(_ON_SURFACE, pose):

@@ -60,6 +60,7 @@ class Watched:
     version: int = 0
     plan_key: tuple = ()
     mesh_key: tuple = ()
+    read_key: tuple = ()
     hull_key: tuple = ()
     hull_voxels: int = 0
     coverage_key: tuple = ()
@@ -88,6 +89,8 @@ def look(scene: bpy.types.Scene, *, hull: int = 0, coverage: float = 0.0) -> Wat
     try:
         _read(scene)
         key = _key_of(watched.shots), watched.mesh_key
+        watched.version += key != watched.read_key
+        watched.read_key = key
         if hull and (watched.hull_key != key or watched.hull_voxels < hull):
             cameras, grid = [shot.camera for shot in watched.shots], preview_grid(watched.mesh, hull)
             watched.hull, watched.hull_key, watched.hull_voxels = extract_surface(preview_hull(watched.outliner, cameras, grid)), key, hull
@@ -143,7 +146,7 @@ def _read(scene: bpy.types.Scene) -> None:
             raise ScanstageError("the staged object is hidden or has no faces: show it in the viewport")
         watched.mesh, watched.mesh_key = survey.workable(mesh), key
         watched.outliner, watched.surveyor = Outliner(watched.mesh), survey.surveyor_of(watched.mesh)
-        watched.hull_key, watched.coverage_key = (), ()
+        watched.read_key, watched.hull_key, watched.coverage_key = (), (), ()
         watched.staged = frozenset(uid for uid, _, _ in key)
         watched.mesh_is_old = False
 
@@ -158,7 +161,7 @@ def _key_of(shots: list[Shot]) -> bytes:
 @persistent
 def on_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """Note what has changed, and look as soon as Blender has time."""
-    if watched.reading or not wanted():
+    if watched.reading or not wanted() or ownership.find_stage(scene) is None:
         return
     for update in depsgraph.updates:
         kind = update.id.bl_rna.identifier

@@ -195,6 +195,8 @@ def test_shots_hold_what_shines_in_their_frames(scene):
 
 def test_a_moved_camera_is_followed_without_reading_the_plan_again(scene):
     staged(scene, "turntable", "knot", views=6)
+    empty = watching.watched.version
+    assert watching.look(scene).version > empty  # the plan is new: there are views and stops to draw
     before = watching.look(scene, hull=24, coverage=0.25)
     plan, hull, views = before.plan, before.hull, before.coverage.views
     version = before.version
