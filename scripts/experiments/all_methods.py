@@ -21,20 +21,20 @@ from . import drawing
 from .experiment import Experiment
 from .stage import MM
 
-OBJECT, VOXELS = "dented-sphere", 128
+OBJECT, VOXELS = "dented-sphere", 96
 SURFACES = ("textured", "plain")
-SMALL = {"resolution_x": 480, "resolution_y": 360}
+SMALL = {"resolution_x": 400, "resolution_y": 300}
 RIGS = {
     "turntable": {**SMALL, "views": 24},
     "shadow-array": {**SMALL, "views": 24, "lights": 4, "elevations": "25"},
     "voxel-coloring": {**SMALL, "views": 24},
     "stereo-pair": {**SMALL, "views": 12},
-    "gray-code": {**SMALL, "views": 6, "axes": "columns"},
-    "phase-shift": {**SMALL, "views": 6},
-    "laser-scanner": {**SMALL, "views": 4, "lines": 80},
-    "color-stripes": {"views": 6},
+    "gray-code": {**SMALL, "views": 5, "axes": "columns"},
+    "phase-shift": {**SMALL, "views": 5},
+    "laser-scanner": {**SMALL, "views": 4, "lines": 50},
+    "color-stripes": {"views": 5},
     "depth-sensor": {**SMALL, "views": 8},
-    "desk-shadow": {**SMALL, "steps": 60},
+    "desk-shadow": {**SMALL, "steps": 40},
 }
 RIG_OF = {"visual-hull": "turntable", "polyhedral-hull": "turntable", "shadow-carving": "shadow-array", "stereo": "stereo-pair",
           "speckle": "depth-sensor", "laser-stripe": "laser-scanner",

@@ -162,18 +162,6 @@ def rectified_picture(device: Camera, ideal: Camera, picture: np.ndarray, *, int
     return cv2.remap(picture, pixels[..., 0], pixels[..., 1], interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=(border,) * 4)
 
 
-def onto_pixels(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return which points (k,) a camera's pixels see, the nearest of each pixel, and the row and column of their pixels."""
-    width, height = camera.size
-    pixels, depth = camera.project(points)
-    column, row = np.rint(np.nan_to_num(pixels, nan=-1.0)).astype(np.int64).T
-    inside = np.flatnonzero((depth > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height))
-    flat = (row * width + column)[inside]
-    order = np.lexsort((depth[inside], flat))
-    chosen = inside[order[np.diff(flat[order], prepend=-1) > 0]]
-    return chosen, (row[chosen], column[chosen])
-
-
 def _extent(device: Camera, R: np.ndarray, focal: float, corners: np.ndarray) -> np.ndarray:
     """Return least and greatest (u, v), relative to the principal point, of what a device sees of a box given by its corners."""
     share = np.arange(_BORDER_STEPS) / _BORDER_STEPS

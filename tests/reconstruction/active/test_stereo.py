@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from addon.errors import ScanstageError
-from addon.reconstruction.active.rectified_pair import onto_pixels, rectified_picture, rectify
+from addon.reconstruction.active.rectified_pair import rectified_picture, rectify
 from addon.reconstruction.geometry import Camera, look_at
 from addon.reconstruction.methods import METHODS
 from addon.reconstruction.scan import Scan, View
 from tests.projection import Round, picture_rays
-from tests.rigs import Ball, camera_at
+from tests.rigs import Ball
 
 BOX = np.array([[-0.3] * 3, [0.3] * 3])
 BALL = Round(Ball((0.0, 0.0, 0.0), 0.25))
@@ -54,12 +54,6 @@ def test_a_rectified_picture_shows_what_the_ideal_camera_sees():
     ours, ideal = rectified_picture(first, pair.first, picture), _paint(BALL, pair.first)
     both = (ours > 0.2) & (ideal > 0.2)
     assert both.sum() > 10_000 and np.abs(ours - ideal)[both].mean() < 0.01
-
-
-def test_of_points_behind_each_other_a_pixel_keeps_the_nearest():
-    camera = camera_at((0.0, -2.0, 0.0), focal=100.0, size=(64, 48))
-    chosen, (rows, columns) = onto_pixels(camera, np.array([(0, 0, 0), (0, -1, 0), (0, -3, 0), (5, 0, 0)], float))
-    assert chosen.tolist() == [1] and (rows[0], columns[0]) == (24, 32)
 
 
 def _paint(ball, camera, plain=False):
