@@ -9,7 +9,7 @@ pictures each pixel is asked when an edge passes it, as in spacetime analysis: i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .measurement import Measurement, measurement_of, refuse_degenerate
 from .patterns import AXES
 from .rectification import pixel_map, real_pixels, rectified_camera, rectify
 from .sequences import number_of, of_kind, only
+from .stereo_stripes import measure_pairs
 from .stripe_code import EDGES, WINDOW, edge_scores, stripe_edges
 from .stripe_edges import Channels, find_edges, match_edges
 from .structured_light import FILL, projections
@@ -42,6 +43,7 @@ _TIME_DEVIATION = 0.25  # frames, of an edge's passing
 _NEAR = 0.75  # stripes between two matched edges, over all shifts, up to which what lies between is one surface
 _ROWS, _LEAST_ROWS = 3, 3  # rows above and below a match, and how many of them must agree with it
 _TIMED_APART = 1.0  # projector pixels between neighbours whose edges are timed
+_SHARE_SEEN = 0.75  # of the stripes, about, that a picture shows across where the projector is not known
 _AGREEMENT = 1 / 3  # of a stripe by which place and time may differ
 
 
@@ -80,14 +82,19 @@ class Stripes:
 
 def measure_color_stripes(scan: Scan, *, analysis: str = "space-time", passes: int = 8, contrast: float = LEAST_RANGE, fill: str = "shell",
                           progress: Progress = silent) -> Measurement:
-    """Measure points by stripes of colour.
+    """Measure points by stripes of colour: with the projector where it is calibrated, otherwise by two cameras (`stereo_stripes`).
 
     Raises
     ------
     ScanstageError
         There are no such pictures, a pattern's field is not what it must be, or the picture cannot be rectified.
     """
-    parts, views = [], list(projections(scan))
+    alone = [(number, view) for number, view in enumerate(scan.views)
+             if (shown := of_kind(view.projected, "color-stripes")) and shown[0].projector is None]
+    parts = _measure_pairs(scan, alone, passes, contrast) if alone else []
+    numbers = {number for number, _ in alone}
+    views = list(projections(Scan(tuple(replace(view, projected=()) if number in numbers else view
+                                        for number, view in enumerate(scan.views)))))
     for step, (number, view, projector, pictures) in enumerate(views):
         progress(step / len(views), f"Matching stripes in view {view.name}")
         if (shown := find_stripes(pictures)) is not None:
@@ -97,6 +104,19 @@ def measure_color_stripes(scan: Scan, *, analysis: str = "space-time", passes: i
                              "projector that shows them")
     progress(1.0, "Measured")
     return Measurement.joined(parts)
+
+
+def _measure_pairs(scan: Scan, views: Sequence[tuple[int, View]], passes: int, contrast: float) -> list[Measurement]:
+    """Measure views whose projector is not calibrated: see `stereo_stripes`."""
+    stripes = {view.name: find_stripes(view.projected) for _, view in views}
+
+    def find(images: Sequence[np.ndarray], view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        shown = stripes[view.name]
+        width = max(images[0].shape[1] / (_SHARE_SEEN * shown.stripes), 2.0)
+        found, _ = match_pictures(images, shown, width, passes=passes, contrast=contrast)
+        return found.rows, found.places, found.positions
+
+    return measure_pairs(scan, views, find, lambda view: stripes[view.name].pictures)
 
 
 def find_stripes(pictures: Sequence[ProjectedPicture]) -> Stripes | None:
