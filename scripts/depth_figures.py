@@ -66,7 +66,7 @@ def stereo(bar):
 def _measured(method, preset, options, plain, progress):
     """Return frames, share of the silhouettes' pixels with a point, errors in mm and completeness; and a sentence of the report."""
     import numpy as np
-    from turntable_captures import rendered
+    from turntable_captures import rendered, without_texture
 
     from addon.captures.store import read_capture
     from addon.errors import ScanstageError
@@ -74,7 +74,7 @@ def _measured(method, preset, options, plain, progress):
     from addon.reconstruction.evaluation.measures import point_measures
 
     with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
-        scan, truth = rendered(OBJECT, Path(folder), progress, VIEWS, preset, options, change=_without_texture if plain else None)
+        scan, truth = rendered(OBJECT, Path(folder), progress, VIEWS, preset, options, change=without_texture if plain else None)
         frames = len(read_capture(Path(folder)).frames)
         area = sum(int(np.count_nonzero(view.mask)) for view in scan.views)
         try:
@@ -85,13 +85,6 @@ def _measured(method, preset, options, plain, progress):
     warnings = found.report["warnings"]
     return (frames, len(found.points) / area, 1000 * measures["median"], 1000 * measures["accuracy_90"],
             measures["completeness"]), warnings[0] if warnings else ""
-
-
-def _without_texture(scene):
-    from addon.stage.materials import matte
-
-    for layer in scene.view_layers:
-        layer.material_override = matte("plain", (0.5, 0.46, 0.4))
 
 
 TABLES = {"speckle": speckle, "stereo": stereo}

@@ -94,6 +94,16 @@ def _every_shadow(view, step):
     return ShadowMasks(bits, view.shadows.decidable)
 
 
+def without_texture(scene):
+    """Give what is staged one matte colour."""
+    from addon.stage.materials import matte
+    from addon.stage.readback import staged_objects
+
+    for mesh in {o.data for o in staged_objects(scene) if o.type == "MESH"}:
+        mesh.materials.clear()
+        mesh.materials.append(matte("plain", (0.5, 0.46, 0.4)))
+
+
 def paint_a_patch(scene):
     """Paint a wide patch of the staged object's right side with albedo 0.02: there, light is as dark as a shadow."""
     import numpy as np

@@ -10,11 +10,10 @@ from bpy.props import EnumProperty
 from ..stage import ownership
 from ..stage.presets import PRESETS
 from .jobs import idle
-from .operators.stage import build_chosen
-from .viewport import frame_stage
+from .operators.stage import FramesStage, build_chosen
 
 
-class SCANSTAGE_OT_add_rig(bpy.types.Operator):
+class SCANSTAGE_OT_add_rig(FramesStage, bpy.types.Operator):
     """Build a rig round the selected mesh, or round the object that the Stage panel names"""
 
     bl_idname = "scanstage.add_rig"
@@ -44,13 +43,6 @@ class SCANSTAGE_OT_add_rig(bpy.types.Operator):
         done = build_chosen(self, context)
         if 'FINISHED' not in done:
             settings.preset, settings.source, settings.subject = before
-        return done
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Build, and bring the stage into view."""
-        done = self.execute(context)
-        if 'FINISHED' in done:
-            frame_stage(context)
         return done
 
 

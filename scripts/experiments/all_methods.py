@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from tables import Table
+from turntable_captures import without_texture
 
 from addon import workflow
 from addon.captures.store import is_capture, read_capture
@@ -78,9 +79,9 @@ def run(out, progress):
     rows = []
     for (surface, method), row in found.items():
         volume, shape = row.measures.get("volume", {}), row.measures.get("points") or row.measures.get("surface", {})
-        lengths = [MM * shape[name] if shape.get(name) is not None else None for name in ("accuracy_90",)]
-        rows.append((surface, method, rig_of(method), row.frames, row.seconds, *lengths, shape.get("completeness"), volume.get("excess"),
-                     volume.get("loss"), row.said))
+        within = shape.get("accuracy_90")
+        rows.append((surface, method, rig_of(method), row.frames, row.seconds, None if within is None else MM * within,
+                     shape.get("completeness"), volume.get("excess"), volume.get("loss"), row.said))
     return Table(("surface", "method", "rig", "frames", "seconds", "90 % of it within, mm", "completeness", "excess", "loss",
                   "what the report says first"), tuple(rows),
                  f"The {OBJECT}, 200 mm large, {VOXELS} voxels along its longest side. Accuracy and completeness are those of the points "
@@ -108,7 +109,6 @@ def captured(out, surface, rig, progress):
     from addon.cli.progress_bar import drain, muted_stdout
     from addon.render.capture import capture_frames
     from addon.results.blend import new_file
-    from addon.stage.materials import matte
     from addon.stage.staging import build
 
     folder = out / "captures" / f"all-{surface}-{rig}"
@@ -117,10 +117,7 @@ def captured(out, surface, rig, progress):
             new_file()
             build(bpy.context.scene, rig, OBJECT, RIGS[rig])
             if surface == "plain":
-                for o in bpy.context.scene.objects:
-                    if o.type == "MESH" and o.name.startswith(OBJECT):
-                        o.data.materials.clear()
-                        o.data.materials.append(matte("plain", (0.5, 0.46, 0.4)))
+                without_texture(bpy.context.scene)
             drain(capture_frames(bpy.context.scene, folder), progress)
     return folder
 

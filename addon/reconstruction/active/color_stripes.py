@@ -109,6 +109,10 @@ def measure_color_stripes(scan: Scan, *, analysis: str = "space-time", passes: i
 def _measure_pairs(scan: Scan, views: Sequence[tuple[int, View]], passes: int, contrast: float) -> list[Measurement]:
     """Measure views whose projector is not calibrated: see `stereo_stripes`."""
     stripes = {view.name: find_stripes(view.projected) for _, view in views}
+    for name, shown in stripes.items():
+        if shown.axis != "column":
+            raise ScanstageError(f"frame {name}: its stripes number the projector's rows, and two cameras without a calibrated projector "
+                                 "need columns; project columns, or calibrate the projector")
 
     def find(images: Sequence[np.ndarray], view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         shown = stripes[view.name]

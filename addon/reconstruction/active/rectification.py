@@ -12,6 +12,7 @@ from ..geometry import Camera
 from .patterns import AXES
 
 _LEAST_CROSSING = np.sin(np.radians(20))  # between epipolar lines and stripes
+_NOWHERE = -10.0  # pixels
 _LARGEST_GROWTH = 4  # of the picture, in pixels
 
 
@@ -59,8 +60,9 @@ def rectified_camera(name: str, camera: Camera, projector: Camera, axis: str) ->
 
 
 def real_pixels(camera: Camera, rectified: Camera, pixels: np.ndarray) -> np.ndarray:
-    """Return where pixels (..., 2) of the rectified picture lie in the real one."""
-    return camera.project(rectified.centre + rectified.rays(pixels))[0]
+    """Return where pixels (..., 2) of the rectified picture lie in the real one; far outside it for what is behind the camera."""
+    found, depth = camera.project(rectified.centre + rectified.rays(pixels))
+    return np.where((depth > 0)[..., None], found, _NOWHERE)
 
 
 def pixel_map(camera: Camera, rectified: Camera) -> np.ndarray:
@@ -69,6 +71,6 @@ def pixel_map(camera: Camera, rectified: Camera) -> np.ndarray:
     return real_pixels(camera, rectified, np.stack((columns, rows), axis=-1)).astype(np.float32)
 
 
-def rectify(image: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the rectified picture; 0 beyond the real one."""
-    return cv2.remap(image, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+def rectify(image: np.ndarray, places: np.ndarray, *, interpolation: int = cv2.INTER_LINEAR, border: float = 0.0) -> np.ndarray:
+    """Return the rectified picture; ``border`` beyond the real one."""
+    return cv2.remap(image, places, None, interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=(border,) * 4)

@@ -17,6 +17,8 @@ import numpy as np
 from ...errors import ScanstageError
 from ..geometry import Camera
 from .correspondence import Reason
+from .rectification import pixel_map
+from .rectification import rectify as rectify_picture
 from .triangulation import rays_through
 
 LARGEST_SIDE = 8192  # pixels of a rectified picture
@@ -155,11 +157,7 @@ def box_between(first: Camera, second: Camera) -> np.ndarray:
 def rectified_picture(device: Camera, ideal: Camera, picture: np.ndarray, *, interpolation: int = cv2.INTER_LINEAR,
                       border: float = 0.0) -> np.ndarray:
     """Return a device's picture, (h, w) or (h, w, c), as an ideal one with the same centre would show it."""
-    width, height = ideal.size
-    rows, columns = np.mgrid[:height, :width]
-    pixels, depth = device.project(ideal.centre + ideal.rays(np.stack((columns, rows), axis=-1).astype(np.float64)))
-    pixels = np.where((depth > 0)[..., None], pixels, -2.0).astype(np.float32)
-    return cv2.remap(picture, pixels[..., 0], pixels[..., 1], interpolation, borderMode=cv2.BORDER_CONSTANT, borderValue=(border,) * 4)
+    return rectify_picture(picture, pixel_map(device, ideal), interpolation=interpolation, border=border)
 
 
 def _extent(device: Camera, R: np.ndarray, focal: float, corners: np.ndarray) -> np.ndarray:

@@ -45,6 +45,7 @@ SIGMA = 0.5 / STEPS
 _MOST_DISPARITIES = 2048
 _DROWNED = 0.25  # contrast of the dots against their mean: full contrast is above 1
 _SAMPLES = 4  # along each side of a pixel
+_SLAB = 32  # rows of the reference that are made together
 _STRAY = 0.6  # pixels from the median of its neighbours: more is a window that was led astray
 _ISLAND = 2  # windows: what is smaller is dropped
 _FLAT = 1e-6
@@ -60,13 +61,10 @@ class Match:
         In pixels; meaningless where ``reason`` is not 0.
     reason : (h, w) uint8 array
         A `Reason`.
-    score : (h, w) float32 array
-        The best correlation.
     """
 
     disparity: np.ndarray
     reason: np.ndarray
-    score: np.ndarray
 
 
 def measure_speckle(scan: Scan, *, window: int = 9, score: float = 0.7, uniqueness: float = 0.85, contrast: float = 0.004,
@@ -132,15 +130,20 @@ def reference_picture(pair: RectifiedPair, projector: Camera, picture: Projected
     ScanstageError
         The pattern's fields are wrong.
     """
-    fields = {"dot": int(number_of(picture, "dot", 1, 4096)), "density": number_of(picture, "density", 0.0, 1.0),
+    fields = {"dot": int(number_of(picture, "dot", 1, 4096)), "density": number_of(picture, "density", 0.0, 0.999),
               "seed": int(number_of(picture, "seed", 0, 1 << 31))}
     pattern = speckle_image(projector.size, fields).astype(np.float32) / 255
     (width, height), more = pair.second.size, pair.disparities
     wide = replace(pair.second, K=pair.second.K + np.array([[0, 0, more], [0, 0, 0], [0, 0, 0]]), size=(width + more, height))
-    # A camera's pixel takes in an area: the mean of samples of it. Between the projector's pixels they are blended, since the
-    # nearest one would move the dots' edges by up to half a sample.
-    fine = rectified_picture(projector, wide.scaled(_SAMPLES), pattern, border=np.nan)
-    return fine.reshape(height, _SAMPLES, width + more, _SAMPLES).mean(axis=(1, 3))
+    reference = np.empty((height, width + more), np.float32)
+    for first in range(0, height, _SLAB):
+        slab = min(_SLAB, height - first)
+        part = replace(wide, K=wide.K - np.array([[0, 0, 0], [0, 0, first], [0, 0, 0]]), size=(width + more, slab))
+        # A camera's pixel takes in an area: the mean of samples of it. Between the projector's pixels they are blended, since
+        # the nearest one would move the dots' edges by up to half a sample.
+        fine = rectified_picture(projector, part.scaled(_SAMPLES), pattern, border=np.nan)
+        reference[first:first + slab] = fine.reshape(slab, _SAMPLES, width + more, _SAMPLES).mean(axis=(1, 3))
+    return reference
 
 
 def match_dots(image: np.ndarray, reference: np.ndarray, *, window: int, score: float, uniqueness: float, contrast: float) -> Match:
@@ -194,7 +197,7 @@ def match_dots(image: np.ndarray, reference: np.ndarray, *, window: int, score: 
     cv2.filterSpeckles(islands, -1, _ISLAND * window * window, STEPS)
     reason[(islands < 0) & (reason == Reason.VALID)] = Reason.UNCERTAIN
     reason[deviation < contrast] = Reason.UNLIT
-    return Match(disparity, reason, best)
+    return Match(disparity, reason)
 
 
 def _statistics(values: np.ndarray, window: int) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ def speckle_image(size: tuple[int, int], fields: Mapping[str, object]) -> np.nda
 
 def _mixed(values: np.ndarray) -> np.ndarray:
     """Return the finaliser of SplitMix64 (Steele, Lea & Flood, 2014): bits that look random, alike on every machine."""
-    values = (values + np.uint64(0x9E3779B97F4A7C15)) * np.uint64(1)
+    values = values + np.uint64(0x9E3779B97F4A7C15)
     values = (values ^ values >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     values = (values ^ values >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
     return values ^ values >> np.uint64(31)

@@ -32,7 +32,18 @@ def build_chosen(operator: bpy.types.Operator, context: bpy.types.Context) -> se
     return {'FINISHED'}
 
 
-class SCANSTAGE_OT_stage(bpy.types.Operator):
+class FramesStage:
+    """Of an operator that builds a stage: pressed by hand, it brings the stage into view, which is small beside Blender's default cube."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Execute, and look at what was built."""
+        done = self.execute(context)
+        if 'FINISHED' in done:
+            frame_stage(context)
+        return done
+
+
+class SCANSTAGE_OT_stage(FramesStage, bpy.types.Operator):
     """Build the rig round the object, in place of an earlier one"""
 
     bl_idname = "scanstage.stage"
@@ -55,13 +66,6 @@ class SCANSTAGE_OT_stage(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return build_chosen(self, context)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Build, and bring the stage into view: it is small beside Blender's default cube."""
-        done = self.execute(context)
-        if 'FINISHED' in done:
-            frame_stage(context)
-        return done
 
 
 class SCANSTAGE_OT_remove_stage(bpy.types.Operator):

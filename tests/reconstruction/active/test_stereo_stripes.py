@@ -51,3 +51,10 @@ def test_one_camera_without_a_projector_is_refused():
     view = uncalibrated((0.0, -2.0, 0.0), [WALL], 0)
     with pytest.raises(ScanstageError, match="its stripes' projector is not calibrated, and no second camera"):
         METHODS["color-stripes"].measure(Scan((view, replace(view, name="again")), BOX))
+
+
+def test_stripes_that_number_rows_need_the_projector():
+    view = uncalibrated((0.0, -2.0, 0.0), [WALL], 0)
+    shot = replace(view.projected[0], pattern={**view.projected[0].pattern, "axis": "row"})
+    with pytest.raises(ScanstageError, match="two cameras without a calibrated projector need columns"):
+        METHODS["color-stripes"].measure(Scan((replace(view, projected=(shot,)),), BOX))
