@@ -14,7 +14,7 @@ from ..captures.store import read_capture
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of
 from ..render.capture import capture_frames
-from ..results.blend import new_file, save_blend
+from ..results.blend import frame_scene, new_file, save_blend
 from ..results.comparison import render_comparison
 from ..results.folder import check_replaceable, read_result
 from ..results.present import face_errors, show_comparison, show_result
@@ -58,6 +58,7 @@ def run_demo(out: Path, settings: Mapping[str, Value], progress: Progress) -> di
     show_comparison(scene, found, truth, face_errors(found, truth))
     progress(0.85, "Taking the picture")
     render_comparison(out / "preview.png")
+    frame_scene(bpy.context.scene)
     save_blend(out / "scanstage.blend")
     progress(1.0, "Done")
     return {"result": report, "evaluation": measures, "lines": [

@@ -69,7 +69,7 @@ def _stage_arguments(parser: argparse.ArgumentParser) -> None:
 def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     import bpy
 
-    from ..results.blend import new_file, save_blend
+    from ..results.blend import frame_scene, new_file, save_blend
     from ..stage.readback import plan_of
     from ..stage.staging import build
     from ..stage.survey import survey
@@ -79,6 +79,7 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     build(bpy.context.scene, call.preset, call.object, dict(call.settings))
     plan = plan_of(bpy.context.scene)
     missed = survey(bpy.context.scene).summary() if call.coverage else {}
+    frame_scene(bpy.context.scene)
     save_blend(call.out)
     return {"file": str(call.out), "frames": len(plan.frames), "cameras": len(plan.cameras), **({"coverage": missed} if missed else {}),
             "lines": [f"{call.out}: {call.preset}, {len(plan.frames)} frames, {len(plan.cameras)} camera(s)",

@@ -9,6 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import bpy
+import numpy as np
+from mathutils import Vector
 
 from ..errors import ScanstageError
 from ..files import sibling
@@ -35,6 +37,24 @@ def open_blend(path: Path) -> None:
         bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
     except RuntimeError as error:
         raise ScanstageError(f"{path}: Blender cannot open it ({_reason(error)}); stage it again") from None
+
+
+def frame_scene(scene: bpy.types.Scene) -> None:
+    """Let the file's 3-D views begin with all of a scene before them, in its colours: what is staged is small beside Blender's own view."""
+    for layer in scene.view_layers:
+        layer.update()  # what was placed since the last update still has its old matrix
+    points = np.array([member.matrix_world @ Vector(corner) for member in scene.objects
+                       for corner in (member.bound_box if member.type in {"MESH", "FONT"} else [(0, 0, 0)])])
+    if not len(points):
+        return
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            if area.type == 'VIEW_3D':
+                view = area.spaces.active
+                view.region_3d.view_location = (lower + upper) / 2
+                view.region_3d.view_distance = max(float(np.linalg.norm(upper - lower)), 1e-3)
+                view.shading.type = 'MATERIAL'
 
 
 def save_blend(path: Path) -> None:

@@ -3,10 +3,12 @@
 """Whole .blend files: what is saved is opened again, and what cannot be is one sentence with the file's name."""
 
 import bpy
+import numpy as np
 import pytest
+from mathutils import Vector
 
 from addon.errors import ScanstageError
-from addon.results.blend import new_file, open_blend, save_blend
+from addon.results.blend import frame_scene, new_file, open_blend, save_blend
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
@@ -102,3 +104,34 @@ def test_a_file_that_is_no_blend_is_named(tmp_path, content):
     with pytest.raises(ScanstageError, match="bad.blend: Blender cannot open it") as caught:
         open_blend(path)
     assert "\n" not in str(caught.value)
+
+
+def views():
+    return [area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == 'VIEW_3D']
+
+
+def test_a_saved_file_opens_with_the_whole_scene_in_view(tmp_path):
+    """All of it lies in the ball that the view shows: a mesh counts with its corners, a rig's empty with its place."""
+    new_file()
+    box = bpy.data.meshes.new("Box")
+    box.from_pydata([(x, y, z) for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)], [], [])
+    member = bpy.data.objects.new("Box", box)
+    member.location = (1, 2, 3)
+    bpy.context.scene.collection.objects.link(member)
+    add_empty("Camera's Place")
+    frame_scene(bpy.context.scene)
+    save_blend(tmp_path / "scene.blend")
+    open_blend(tmp_path / "scene.blend")
+    far_corner = Vector((1.1, 2.2, 3.3))
+    assert views()
+    for view in views():
+        np.testing.assert_allclose(view.region_3d.view_location, far_corner / 2, rtol=1e-6)
+        assert view.region_3d.view_distance == pytest.approx(far_corner.length, rel=1e-6)
+        assert view.shading.type == 'MATERIAL'
+
+
+def test_the_view_of_an_empty_scene_is_left_as_it_was():
+    new_file()
+    before = [(tuple(view.region_3d.view_location), view.region_3d.view_distance, view.shading.type) for view in views()]
+    frame_scene(bpy.context.scene)
+    assert before == [(tuple(view.region_3d.view_location), view.region_3d.view_distance, view.shading.type) for view in views()]
