@@ -5,8 +5,8 @@
 import cv2
 import numpy as np
 
-from addon.reconstruction.volumetric import light_image
 from addon.reconstruction.volumetric.surface import extract_surface
+from addon.reconstruction.volumetric.virtual_light import SeenSurface, VirtualLight
 
 
 def naive(scan, volume):
@@ -17,13 +17,13 @@ def naive(scan, volume):
     centres, gone = grid.centres(voxels), np.zeros(len(voxels), bool)
     box = np.stack((grid.origin, grid.upper))
     for view in scan.views:
-        seen = light_image.SeenSurface.of(surface, grid, view.camera)
+        seen = SeenSurface.of(surface, grid, view.camera)
         column, row = np.clip(np.rint(view.camera.project(centres)[0]), 0, np.array(view.camera.size) - 1).astype(int).T
         for number, picture in enumerate(view.lit):
             shadow = view.shadows.of(number)
             v, u = np.nonzero(shadow & (seen.items >= 0))
             points = view.camera.centre + seen.depth[v, u][:, None] * view.camera.rays(np.column_stack((u, v)))
-            light = light_image.VirtualLight.of(picture.light.position, box, grid.voxel_size, "light").camera
+            light = VirtualLight.of(picture.light.position, box, grid.voxel_size, "light").camera
             virtual = np.zeros(light.size[::-1], np.uint8)
             c, r = np.rint(light.project(points)[0]).astype(int).T
             virtual[r, c] = 1

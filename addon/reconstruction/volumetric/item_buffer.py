@@ -198,19 +198,16 @@ def _hits(surface: Surface, grid: VoxelGrid, camera: Camera,
     eye = (camera.centre - grid.origin) / grid.voxel_size
     rays = _Rays.of(camera)
     pixels = _projected(surface.vertices, camera)
-    wanted = np.ones(len(surface.quads), bool) if near is None else _on(near, pixels).take(surface.quads[:, 0])
-    for way in range(6):
-        axis, upper = divmod(way, 2)
-        faces = np.flatnonzero((surface.face_axis == way) & wanted)
-        plane = surface.voxels[:, axis].take(surface.face_voxel.take(faces)) + upper
-        faces = faces[plane < eye[axis] if upper else plane > eye[axis]]
-        for start in range(0, len(faces), FACES):
-            face = faces[start:start + FACES]
-            voxel = surface.face_voxel.take(face)
-            cells = np.take(surface.voxels.T, voxel, axis=1)
-            cells[axis] += upper
-            for box, u, v in box_pixels(_boxes(pixels, surface.quads.take(face, axis=0), camera)):
-                hit, depth = _met(rays, eye, cells, axis, box, u, v)
+    wanted = None if near is None else _on(near, pixels)
+    for side in surface.sides:
+        plane = side.cells[side.axis]
+        turned = plane < eye[side.axis] if side.upper else plane > eye[side.axis]
+        rows = np.flatnonzero(turned if wanted is None else turned & wanted.take(side.quads[0]))
+        for start in range(0, len(rows), FACES):
+            row = rows[start:start + FACES]
+            face, cells = side.faces.take(row), side.cells.take(row, axis=1)
+            for box, u, v in box_pixels(_boxes(pixels, side.quads.take(row, axis=1), camera)):
+                hit, depth = _met(rays, eye, cells, side.axis, box, u, v)
                 yield (v.take(hit) * camera.size[0] + u.take(hit), depth * grid.voxel_size, face.take(box.take(hit)))
 
 
@@ -252,10 +249,10 @@ def _on(mask: np.ndarray, pixels: np.ndarray) -> np.ndarray:
 
 
 def _boxes(pixels: np.ndarray, quads: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return (4, n) int64: first column and row, number of columns and rows of the pixels that quads may cover."""
+    """Return (4, n) int64: first column and row, number of columns and rows of the pixels that quads (4, n) may cover."""
     first, count, focal = [], [], min(camera.K[0, 0], camera.K[1, 1])
     for coordinate, size in zip(pixels, camera.size, strict=True):
-        a, b, c, d = (coordinate.take(quads[:, corner]) for corner in range(4))
+        a, b, c, d = coordinate.take(quads)
         low, high = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
         # An edge of length L bends by L^2 / 8 times its curvature, for a lens of the order of 1 / focal length.
         margin = MARGIN + (high - low) ** 2 / (2 * focal) if camera.distorted else 1e-6

@@ -14,7 +14,7 @@ holds the object whole, which the next round relies on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -27,10 +27,11 @@ from ...progress import Progress, part_of, silent
 from ..arrays import sorted_unique
 from ..geometry import Camera, Light, VoxelGrid
 from ..outcome import Outcome, VoxelLayer
-from ..scan import LitPicture, Scan, View
+from ..scan import Scan, View
 from . import visual_hull as hull
-from .light_image import SeenSurface, VirtualLight, distant, free_depth, freed_points, wholly_free
+from .light_image import free_depth, freed_points, wholly_free
 from .surface import Surface, extract_surface
+from .virtual_light import SeenSurface, VirtualLight, distant, grown
 from .volume import SparseVolume
 
 OPTIONS = (
@@ -46,7 +47,8 @@ OPTIONS = (
 
 _MOST_PICTURES = 8  # of virtual light images
 _BESIDE = np.concatenate((np.eye(3, dtype=np.int32), -np.eye(3, dtype=np.int32)))
-_AROUND = np.ones((5, 5), np.uint8)
+_AROUND = 2  # pixels about a shadow's in which an entry is looked for
+_KERNEL = np.ones((2 * _AROUND + 1,) * 2, np.uint8)
 _STEPS = 2
 _PIXELS_PER_VOXEL = 3.0  # of a view: finer pictures are reduced, to save time
 _SPACING = 0.75  # voxels between the points at which a ray looks for voxels to remove
@@ -88,10 +90,11 @@ def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", 
     check_lights(scan)
     found = hull.visual_hull(scan, grid, rule="conservative", tolerance=tolerance, outside=outside, progress=part_of(progress, 0, 0.1))
     lights = list(dict.fromkeys(lit.light_id for view in scan.views for lit in view.lit))
+    virtual = virtual_lights(scan.views, found.volume)
     volume, done, pictures = found.volume, [], {}
     for number in range(rounds):
         share = 0.1 + 0.9 * (1 - 0.5 ** number)  # most is done in the first rounds, and how many there will be is not known
-        sight = Sight.of(volume, strict=shadow_rule == "strict", removed=done[-1].voxels if done else None)
+        sight = Sight.of(volume, virtual, strict=shadow_rule == "strict", removed=done[-1].voxels if done else None)
         removals = list(sight.removals(scan.views, part_of(progress, share, (share + 1) / 2)))
         done.append(_layer(removals, number, lights))
         pictures = pictures or sight.pictures(scan.views)
@@ -149,6 +152,19 @@ def _warnings(scan: Scan) -> list[str]:
     return warnings
 
 
+def virtual_lights(views: Sequence[View], volume: SparseVolume) -> dict[str, VirtualLight]:
+    """Return, by the names of the pictures under single lights, these lights as they look at a volume and at all within it.
+
+    Raises
+    ------
+    ScanstageError
+        A light stands inside the volume's box, or too near it.
+    """
+    box = _box(volume)
+    return {picture.name: VirtualLight.of(_position(picture.light, box), box, volume.grid.voxel_size, picture.light_id)
+            for view in views for picture in view.lit}
+
+
 @dataclass(frozen=True)
 class Sight:
     """A volume as cameras and lights see it for one round.
@@ -156,6 +172,8 @@ class Sight:
     Parameters
     ----------
     volume : SparseVolume
+    lights : mapping of str to VirtualLight
+        From `virtual_lights`.
     surface : Surface
         Of the volume.
     centres : (s, 3) array
@@ -168,6 +186,7 @@ class Sight:
     """
 
     volume: SparseVolume
+    lights: Mapping[str, VirtualLight]
     surface: Surface
     centres: np.ndarray
     entries: np.ndarray
@@ -175,16 +194,15 @@ class Sight:
     strict: bool
 
     @classmethod
-    def of(cls, volume: SparseVolume, *, strict: bool, removed: np.ndarray | None = None) -> Sight:
+    def of(cls, volume: SparseVolume, lights: Mapping[str, VirtualLight], *, strict: bool, removed: np.ndarray | None = None) -> Sight:
         """Look at a volume, from which the voxels ``removed`` (n, 3) are gone since the last round."""
-        grid, (lower, upper) = volume.grid, volume.bounds()
-        box = np.stack((grid.origin + grid.voxel_size * lower, grid.origin + grid.voxel_size * (upper + 1)))
+        grid = volume.grid
         surface = extract_surface(volume)
         entries = np.arange(len(surface.voxels))
         if removed is not None:
             beside = np.concatenate([_flat(removed + step, grid) for step in _BESIDE])
             entries = np.flatnonzero(np.isin(_flat(surface.voxels, grid), beside))
-        return cls(volume, surface, grid.centres(surface.voxels), entries, box, strict)
+        return cls(volume, lights, surface, grid.centres(surface.voxels), entries, _box(volume), strict)
 
     def removals(self, views: Sequence[View], progress: Progress) -> Iterator[tuple[int, str, np.ndarray]]:
         """Yield the number of a view, a light's id and the (n, 3) voxels that no earlier ones removed."""
@@ -203,24 +221,20 @@ class Sight:
         grid, step = self.volume.grid, self._coarseness(view)
         camera, shadows = view.camera.scaled(1 / step), view.shadows.reduced(step)
         entries, pixels, depth = self._entries_in(camera)
-        if not _grown(shadows.bits != 0).take(pixels).any():
+        if not grown(shadows.bits != 0, _AROUND).take(pixels).any():
             return  # before the surface is rendered: in later rounds most views end here
         seen = SeenSurface.of(self.surface, grid, camera)
         # A light may meet a step of the voxels' stairs that the camera does not see.
-        farthest = cv2.dilate(np.where(np.isfinite(seen.depth), seen.depth, 0), _AROUND).ravel().take(pixels)
+        farthest = cv2.dilate(np.where(np.isfinite(seen.depth), seen.depth, 0), _KERNEL).take(pixels)
         near = depth <= farthest + _STEPS * grid.voxel_size
         for number, picture in enumerate(view.lit):
             shadow = shadows.of(number) & (seen.items >= 0)
-            here = entries[near & _grown(shadow).take(pixels)]
+            here = entries[near & grown(shadow, _AROUND).take(pixels)]
             if len(here):
                 centres = self.centres.take(here, axis=0)
-                light = self.virtual(picture).at(centres)
+                light = self.lights[picture.name].at(centres)
                 lit = SeenSurface.about(self.surface, grid, light, centres)
                 yield picture.light_id, light, lit, free_depth(seen, lit, shadow, here, grid.voxel_size, strict=self.strict)
-
-    def virtual(self, picture: LitPicture) -> VirtualLight:
-        """Return the light of a picture as it looks at all of the volume."""
-        return VirtualLight.of(_position(picture.light, self.box), self.box, self.volume.grid.voxel_size, picture.light_id)
 
     def _entries_in(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the entries that lie in a camera's picture, rows of the surface's voxels, their flat pixels and their depths."""
@@ -240,7 +254,7 @@ class Sight:
     def pictures(self, views: Sequence[View]) -> dict[str, np.ndarray]:
         """Return the virtual light images of the first view with lights, to be looked at."""
         view = next(view for view in views if view.lit)
-        lights = {picture.light_id: self.virtual(picture).camera for picture in view.lit}
+        lights = {picture.light_id: self.lights[picture.name].camera for picture in view.lit}
         found = {}
         for light_id, light, lit, free in islice(self.free_depths(view), _MOST_PICTURES):
             seen = SeenSurface.of(self.surface, self.volume.grid, lights[light_id])
@@ -250,16 +264,17 @@ class Sight:
         return found
 
 
-def _grown(mask: np.ndarray) -> np.ndarray:
-    """Return the flat bool mask grown by two pixels."""
-    return cv2.dilate(mask.astype(np.uint8), _AROUND).ravel().astype(bool)
-
-
 def _flat(voxels: np.ndarray, grid: VoxelGrid) -> np.ndarray:
     """Return flat indices of (n, 3) voxels, which may lie one voxel beyond the grid."""
     _, ny, nz = grid.shape
     x, y, z = voxels.astype(np.int64).T
     return ((x + 1) * (ny + 2) + y + 1) * (nz + 2) + z + 1
+
+
+def _box(volume: SparseVolume) -> np.ndarray:
+    """Return the (2, 3) corners of the least box round a volume, in the object frame."""
+    lower, upper = volume.bounds()
+    return volume.grid.origin + volume.grid.voxel_size * np.stack((lower, upper + 1))
 
 
 def _position(light: Light, box: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ surface, never the volume.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -53,6 +54,12 @@ class Surface:
     voxels: np.ndarray
     face_voxel: np.ndarray
     face_axis: np.ndarray
+
+    @cached_property
+    def sides(self) -> tuple[Side, ...]:
+        """The faces by the way that they look, in arrays that are quick to take from."""
+        cells = np.ascontiguousarray(self.voxels.T)
+        return tuple(Side.of(self, cells, way) for way in range(len(_NORMALS)))
 
     def triangles(self) -> np.ndarray:
         """Return the (2q, 3) int32 triangles: faces cut along their first diagonal, two after each other."""
@@ -106,6 +113,40 @@ class Surface:
             around = at_vertices.take(self.quads).sum(axis=1)
             out[:, channel] = np.bincount(self.face_voxel, around, minlength=len(self.voxels))
         return out
+
+
+@dataclass(frozen=True)
+class Side:
+    """The faces of a surface that look one way.
+
+    Parameters
+    ----------
+    axis : int
+        That they lie across.
+    upper : bool
+        Whether they look along it, not against it.
+    faces : (f,) intp array
+        Rows of the surface's quads.
+    cells : (3, f) int32 array
+        Their voxels; in the row ``axis`` the planes that they lie in, in voxels from the grid's lower corner.
+    quads : (4, f) int32 array
+        Rows of the surface's vertices.
+    """
+
+    axis: int
+    upper: bool
+    faces: np.ndarray
+    cells: np.ndarray
+    quads: np.ndarray
+
+    @classmethod
+    def of(cls, surface: Surface, voxels: np.ndarray, way: int) -> Side:
+        """Gather the faces that look along one of the six normals; ``voxels`` (3, s) are the surface's."""
+        axis, upper = divmod(way, 2)
+        faces = np.flatnonzero(surface.face_axis == way)
+        cells = voxels.take(surface.face_voxel.take(faces), axis=1)
+        cells[axis] += upper
+        return cls(axis, bool(upper), faces, cells, np.ascontiguousarray(surface.quads.take(faces, axis=0).T))
 
 
 def extract_surface(volume: SparseVolume) -> Surface:
