@@ -1,10 +1,13 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that appear whole or not at all."""
+"""Files and folders that appear whole or not at all."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import shutil
+import sys
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -42,3 +45,36 @@ def replacing(path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):  # it is not there, or what is wrong has been said
             temporary.unlink()
+
+
+def replace_folder(made: Path, folder: Path) -> None:
+    """Give a finished folder its name; what has that name goes, once the new one has it.
+
+    Raises
+    ------
+    OSError
+        The disk refuses; what was there is there still.
+    """
+    if not folder.exists():
+        os.rename(made, folder)
+        return
+    if _exchanged(made, folder):  # there is no moment at which nothing has the name
+        shutil.rmtree(made, ignore_errors=True)
+        return
+    old = sibling(folder)
+    os.rename(folder, old)
+    try:
+        os.rename(made, folder)
+    except OSError:
+        os.rename(old, folder)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Let two folders swap their names in one step, and return whether the system and its disk can."""
+    if sys.platform != "linux":
+        return False
+    exchange = getattr(ctypes.CDLL(None), "renameat2", None)  # since glibc 2.28
+    here, swap = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
+    return exchange is not None and exchange(here, os.fsencode(one), here, os.fsencode(other), swap) == 0

@@ -30,7 +30,7 @@ import cv2
 import numpy as np
 
 from ..errors import ScanstageError
-from ..files import replacing, sibling
+from ..files import replace_folder, replacing, sibling
 from ..reconstruction.color import linear_to_srgb
 from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.mesh import TriangleMesh
@@ -166,7 +166,7 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
         for name, data in files.items():
             _write(temporary / name, data)
         _write(temporary / REPORT, text)
-        _put_in_place(temporary, folder)
+        replace_folder(temporary, folder)
     except OSError as error:
         raise ScanstageError(f"{folder}: cannot be written ({error.strerror}); "
                              "check the disk space and its rights") from None
@@ -251,20 +251,6 @@ def _png(preview: np.ndarray) -> bytes:
         raise ValueError(f"preview must be (h, w, 3 or 4) uint8, not {preview.shape} {preview.dtype}")
     code = cv2.COLOR_RGB2BGR if preview.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
     return cv2.imencode(".png", cv2.cvtColor(np.ascontiguousarray(preview), code))[1].tobytes()
-
-
-def _put_in_place(temporary: Path, folder: Path) -> None:
-    """Rename a finished folder to its name; what was there before is kept until then."""
-    old = sibling(folder)
-    if folder.exists():
-        os.rename(folder, old)
-    try:
-        os.rename(temporary, folder)
-    except OSError:
-        if old.exists():
-            os.rename(old, folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def _write(path: Path, data: bytes) -> None:
