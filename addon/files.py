@@ -8,6 +8,7 @@ import ctypes
 import os
 import shutil
 import sys
+import tempfile
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -15,6 +16,22 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import ScanstageError
+
+_ROOM = 1 << 16  # bytes: more than a program keeps back until it closes a file
+
+
+class NotWritten(ScanstageError):
+    """A file or folder that the disk refuses.
+
+    Parameters
+    ----------
+    path : Path
+    reason : str
+    """
+
+    def __init__(self, path: Path, reason: str | None) -> None:
+        super().__init__(f"{path}: cannot be written ({reason}); check the disk space and the rights of {path.parent}")
+        self.reason = reason
 
 
 def sibling(path: Path) -> Path:
@@ -40,11 +57,46 @@ def replacing(path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())  # a rename may reach the disk before the data does
         os.replace(temporary, path)
     except OSError as error:
-        raise ScanstageError(f"{path}: cannot be written ({error.strerror}); check the disk space and the rights of "
-                             f"{path.parent}") from None
+        raise NotWritten(path, error.strerror) from None
     finally:
         with suppress(OSError):  # it is not there, or what is wrong has been said
             temporary.unlink()
+
+
+@contextmanager
+def making(folder: Path) -> Iterator[Path]:
+    """Make a folder under a temporary name that takes the place of ``folder`` when the block ends without an exception.
+
+    Raises
+    ------
+    ScanstageError
+        The folder, or a file in it, cannot be written.
+    """
+    made = sibling(folder.resolve())
+    try:
+        made.mkdir(parents=True)
+        yield made
+        replace_folder(made, folder.resolve())
+    except NotWritten as error:  # of a file in it, by a name that is gone
+        raise NotWritten(folder, error.reason) from None
+    except OSError as error:
+        raise NotWritten(folder, error.strerror) from None
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def check_room(folder: Path) -> None:
+    """Refuse a folder whose disk is full: what was written there by a program that does not look at errors may be cut off.
+
+    Raises
+    ------
+    OSError
+        The disk takes nothing more.
+    """
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.write(bytes(_ROOM))
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def replace_folder(made: Path, folder: Path) -> None:

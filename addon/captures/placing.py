@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ..errors import ScanstageError
-from ..files import replace_folder, sibling
+from ..files import making
 from ..progress import Progress
 from .files import write_bytes
 from .schema import Capture
@@ -52,10 +52,7 @@ def put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, prog
     ScanstageError
         The disk refuses.
     """
-    out = out.resolve()
-    staged = sibling(out)
-    try:
-        staged.mkdir(parents=True)
+    with making(out) as staged:
         for step, (relative, picture) in enumerate(pictures.items()):
             progress(step / len(pictures), f"Copying {picture.name}")
             target = staged / relative
@@ -64,10 +61,4 @@ def put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, prog
         for relative, data in (extra or {}).items():
             write_bytes(staged / relative, data)
         write_capture(staged, capture)
-        replace_folder(staged, out)
-        progress(1.0, f"{len(pictures)} pictures in place")
-    except OSError as error:
-        raise ScanstageError(f"{out}: cannot be written ({error.strerror}); "
-                             f"check the disk space and the rights of {out.parent}") from None
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
+    progress(1.0, f"{len(pictures)} pictures in place")
