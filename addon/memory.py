@@ -42,3 +42,34 @@ def _windows_available() -> int:
     status = MemoryStatus(length=ctypes.sizeof(MemoryStatus))
     ctypes.windll.kernel32.GlobalMemoryStatusEx(ctypes.byref(status))
     return status.available
+
+
+class MemoryUse:
+    """What this process takes more from now on.
+
+    The system tells a process's peak, and that only grows: where it was higher before, what is used now cannot be told.
+    """
+
+    def __init__(self) -> None:
+        self._before, self._held = peak_memory(), _held_memory()
+
+    def peak(self) -> int | None:
+        """Return the most bytes held since then, less what was held then; None where that is not known."""
+        peak = peak_memory()
+        if peak is None or self._held is None or peak <= self._before:
+            return None
+        return peak - self._held
+
+
+def amount(size: float) -> str:
+    """Return bytes as a person says them."""
+    return f"{size / 2 ** 30:.1f} GiB" if size >= 2 ** 30 else f"{size / 2 ** 20:.0f} MiB"
+
+
+def _held_memory() -> int | None:
+    """Return the bytes that this process holds now; None where the system does not tell."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as line:
+            return int(line.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return None  # not Linux

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -79,7 +80,7 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
     found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, solids=solids,
                                 progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
-    report = {**found.report, "capture": str(Path(capture).resolve()), "silhouette": inputs.get("silhouettes", {}),
+    report = {**found.report, "capture": _seen_from(out, capture), "silhouette": inputs.get("silhouettes", {}),
               **({"shadows": inputs["lights"]} if "lights" in inputs else {})}
     up = upward([view.camera for view in scan.views])
     preview = render_preview(found.surface, found.volume.grid, found.colors.rgb, up=up)
@@ -87,6 +88,15 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
                  layers=found.layers, pictures=found.pictures, mesh=found.mesh, points=found.points)
     progress(1.0, "Result written")
     return report
+
+
+def _seen_from(folder: Path, path: Path) -> str:
+    """Return a path relative to a folder, so that both can be moved together, with slashes; absolute where there is none."""
+    path = Path(path).resolve()
+    try:
+        return Path(os.path.relpath(path, Path(folder).resolve())).as_posix()
+    except ValueError:  # another drive of Windows
+        return str(path)
 
 
 def _blender_solids(method: str) -> Solids:
@@ -157,11 +167,11 @@ def truth_of(result: Result) -> TriangleMesh:
     ScanstageError
         The capture set is gone, or holds no truth (photographs do not).
     """
-    folder = result.report.get("capture")
-    if not isinstance(folder, str) or not is_capture(Path(folder)):
-        raise ScanstageError(f"{result.folder / REPORT}: capture: there is no capture set at {str(folder)[:200]!r}; name a mesh "
+    named = result.report.get("capture")
+    folder = Path(result.folder).resolve() / named if isinstance(named, str) else None  # an absolute path stays what it is
+    if folder is None or not is_capture(folder):
+        raise ScanstageError(f"{result.folder / REPORT}: capture: there is no capture set at {str(named)[:200]!r}; name a mesh "
                              "with --truth")
-    folder = Path(folder)
     capture = read_capture(folder, require_pictures=False)
     if capture.truth_mesh is None:
         raise ScanstageError(f"{folder / FILE_NAME}: truth is null: photographs have none; name a mesh with --truth")

@@ -13,6 +13,7 @@ import os
 import shutil
 import site
 import sys
+import traceback
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,7 +51,13 @@ def main():
 
 
 if __name__ == "__main__":
-    code = main()
+    try:
+        code = main()
+    except Exception:  # noqa: BLE001  # Blender would print it, too, and then end with 0
+        traceback.print_exc()
+        code = 1
+    except KeyboardInterrupt:  # before there is a verb that could say what is whole
+        code = 130
     sys.stdout.flush()
     sys.stderr.flush()
     # Without a window Blender ignores what a script returns, and its own shutdown may print to stdout: end here.

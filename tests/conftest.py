@@ -44,6 +44,9 @@ def pytest_sessionfinish(session, exitstatus):
 def pytest_unconfigure(config):
     """End here: the bpy wheel of Blender 4.5 sometimes hangs when the interpreter takes its modules down."""
     if "bpy" in sys.modules:
+        if "coverage" in sys.modules and (measured := sys.modules["coverage"].Coverage.current()) is not None:
+            measured.stop()
+            measured.save()
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(_status)

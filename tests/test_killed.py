@@ -2,7 +2,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Killed at any moment: what was finished is whole, and the same command again gives what it would have given."""
 
+import json
+import os
 import random
+import re
+import shutil
 import subprocess
 import sys
 import time
@@ -12,9 +16,11 @@ import cv2
 import numpy as np
 import pytest
 
+from addon.captures.exporters import export_capture
 from addon.captures.pictures import picture_is_whole
 from addon.captures.store import is_capture, read_capture
 from addon.results.folder import REPORT, VOLUME, read_result
+from addon.workflow import reconstruct
 from tests.rigs import Ball, ring, write_ball_capture
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,3 +86,74 @@ def test_a_killed_capture_is_taken_up_where_it_stopped_with_the_same_pictures(tm
     for frame in read_capture(capture).frames:  # the renderer notes its time in each file; the pixels are the same
         ours, whole = (cv2.imread(str(folder / frame.image), cv2.IMREAD_UNCHANGED) for folder in (capture, tmp_path / "reference"))
         np.testing.assert_array_equal(ours, whole)
+
+
+# --- killed before each step on the disk ---------------------------------------------------------------------------------------
+
+def contents(folder: Path) -> dict[str, object]:
+    """Return what a person finds in a folder: its files by name, hidden ones and what differs from run to run left out."""
+    files = {}
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder)
+        if path.is_file() and not any(part.startswith(".") for part in name.parts):
+            files[str(name)] = timeless(path)
+    return files
+
+
+def timeless(path: Path) -> object:
+    import bpy
+
+    if path.name == REPORT:
+        return {key: value for key, value in json.loads(path.read_text()).items() if key not in ("seconds", "memory", "peak_memory")}
+    if path.suffix == ".html":
+        return re.sub(r"<h2>Seconds</h2>.*?</table>", "", path.read_text(), flags=re.DOTALL)
+    if path.suffix == ".blend":  # holds addresses of memory; what it means is that it opens and what is in it
+        from addon.results.blend import open_blend
+
+        open_blend(path)
+        return sorted((member.name, str(member.matrix_world)) for member in bpy.data.objects), bpy.context.scene.frame_end
+    return path.read_bytes()
+
+
+VERBS = {
+    "mesh of two files": ("mesh result --out new.obj", "new.obj"), "mesh in place of another": ("mesh result --out old.ply", "old.ply"),
+    "evaluate": ("evaluate result --set samples=1000 --page new.html", "new.html"),
+    "import": ("import opencv photographs/cameras.yml --out new --set silhouette=threshold", "new/capture.json"),
+    "import in place of another": ("import opencv photographs/cameras.yml --out capture --set silhouette=threshold", "capture/capture.json"),
+    "export": ("export transforms capture --out new", "new/transforms.json"),
+    "reconstruct in place of another": ("reconstruct capture visual-hull --out result --voxels 20", "result/result.json"),
+    "stage": ("stage turntable --object knot --set views=3 --out new.blend", "new.blend"),
+}
+
+
+@pytest.fixture(scope="module")
+def before(tmp_path_factory):
+    """Return a folder with a capture set, a result of it, photographs with their calibration, and an older mesh."""
+    pytest.importorskip("bpy")
+    folder = tmp_path_factory.mktemp("before")
+    write_ball_capture(folder / "capture", Ball((0.0, 0.0, 0.0), 0.6), ring(3, focal=70, size=(60, 45)))
+    reconstruct(folder / "capture", "visual-hull", folder / "result", voxels=16)
+    export_capture("opencv", folder / "capture", folder / "photographs")
+    (folder / "old.ply").write_bytes(b"an older mesh")
+    return folder
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.parametrize("verb", VERBS)
+def test_killed_before_any_step_nothing_is_half_there_and_the_same_command_finishes(tmp_path, before, verb):
+    arguments, made = VERBS[verb]
+    shutil.copytree(before, tmp_path / "before")
+    done = subprocess.run([sys.executable, "-m", "tests.killing", tmp_path, str(KILLS), *arguments.split(), "--quiet"], cwd=ROOT,
+                          capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    steps = [line.split() for line in (tmp_path / "steps").read_text().splitlines()]
+    assert len(steps) > 1
+    old, new = contents(tmp_path / "before"), contents(tmp_path / "whole")
+    assert made in new and old.get(made) != new[made]
+    for number, name in steps:
+        left = contents(tmp_path / f"killed-{number}")
+        # Of what the verb makes or replaces, each file is the old one or the new one, and what was there is there.
+        assert old.keys() <= left.keys() or "in place of another" in verb and made in left, (number, name)
+        for file, content in left.items():
+            assert content in (old.get(file), new.get(file)), (number, name, file)
+        assert contents(tmp_path / f"again-{number}") == new, (number, name)

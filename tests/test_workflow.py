@@ -67,7 +67,7 @@ def test_a_capture_becomes_a_result_folder(capture, result):
     assert sorted(path.name for path in out.iterdir()) == FILES
     written = json.loads((out / "result.json").read_text())
     assert written == {**report, "format": "scanstage-result", "version": 1, "layers": {}}
-    assert written["capture"] == str(capture.resolve()) and written["method"] == "visual-hull" and written["voxels"] == VOXELS
+    assert (out / written["capture"]).resolve() == capture.resolve() and written["method"] == "visual-hull" and written["voxels"] == VOXELS
     assert written["silhouette"] == {} and written["counts"]["views"] == len(CAMERAS)
     found = read_result(out)
     assert found.volume.count() == report["counts"]["occupied"]
@@ -212,6 +212,19 @@ def test_a_result_whose_truth_is_gone_says_what_to_do(capture, tmp_path):
     own.rename(tmp_path / "elsewhere")
     with pytest.raises(ScanstageError, match=r"result.json: capture: there is no capture set at '.*capture'; name a mesh with --truth$"):
         workflow.evaluate_result(tmp_path / "r")
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_result_finds_its_capture_set_after_both_have_moved(tmp_path, older):
+    """A result names its capture set as seen from itself; those of earlier versions name an absolute path."""
+    write_ball_capture(tmp_path / "here" / "capture", BALL, CAMERAS[:4])
+    report = workflow.reconstruct(tmp_path / "here" / "capture", "visual-hull", tmp_path / "here" / "r", voxels=12)
+    assert report["capture"] == "../capture"
+    (tmp_path / "here").rename(tmp_path / "there")
+    path = tmp_path / "there" / "r" / "result.json"
+    if older:
+        path.write_text(json.dumps({**json.loads(path.read_text()), "capture": str(tmp_path / "there" / "capture")}))
+    assert workflow.evaluate_result(path.parent)["volume"]["truth_voxels_removed"] == 0
 
 
 @pytest.mark.parametrize("capture_field", [None, 7, ["a"], "", "a\nb", "x" * 5000], ids=range(6))

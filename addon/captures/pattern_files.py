@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ScanstageError
+from ..files import making
 from ..progress import Progress, silent
 from ..reconstruction.active.patterns import Pattern
 from .files import write_bytes
@@ -43,12 +44,13 @@ def write_patterns(folder: Path, patterns: Sequence[Pattern], *, encoding: str =
         raise ScanstageError(f"{folder}: is there already and not an empty folder; name another one for the patterns")
     digits = max(4, len(str(len(patterns) - 1)))
     entries = []
-    for index, pattern in enumerate(patterns):
-        progress(index / len(patterns), f"Writing pattern {index + 1} of {len(patterns)}")
-        name = f"pattern-{index:0{digits}d}.png"
-        light = pattern.image / 255 if pattern.image.dtype == np.uint8 else pattern.image
-        write_picture(folder / name, light if light.ndim == 3 else np.repeat(light[..., None], 3, axis=2), encoding=encoding, bits=8)
-        entries.append({"file": name, "id": pattern.id, "fields": dict(pattern.fields)})
-    text = json.dumps({"size": list(patterns[0].image.shape[1::-1]), "encoding": encoding, "patterns": entries}, indent=1)
-    write_bytes(folder / LIST, text.encode() + b"\n")
+    with making(folder) as made:
+        for index, pattern in enumerate(patterns):
+            progress(index / len(patterns), f"Writing pattern {index + 1} of {len(patterns)}")
+            name = f"pattern-{index:0{digits}d}.png"
+            light = pattern.image / 255 if pattern.image.dtype == np.uint8 else pattern.image
+            write_picture(made / name, light if light.ndim == 3 else np.repeat(light[..., None], 3, axis=2), encoding=encoding, bits=8)
+            entries.append({"file": name, "id": pattern.id, "fields": dict(pattern.fields)})
+        text = json.dumps({"size": list(patterns[0].image.shape[1::-1]), "encoding": encoding, "patterns": entries}, indent=1)
+        write_bytes(made / LIST, text.encode() + b"\n")
     progress(1.0, f"{len(patterns)} patterns")

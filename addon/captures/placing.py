@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
 from ..errors import ScanstageError
+from ..files import making
 from ..progress import Progress
 from .files import write_bytes
 from .schema import Capture
@@ -52,10 +52,7 @@ def put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, prog
     ScanstageError
         The disk refuses.
     """
-    out = out.resolve()
-    staged, old = (out.with_name(f".{out.name}.{os.getpid()}.{kind}") for kind in ("new", "old"))
-    try:
-        staged.mkdir(parents=True)
+    with making(out) as staged:
         for step, (relative, picture) in enumerate(pictures.items()):
             progress(step / len(pictures), f"Copying {picture.name}")
             target = staged / relative
@@ -64,16 +61,4 @@ def put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, prog
         for relative, data in (extra or {}).items():
             write_bytes(staged / relative, data)
         write_capture(staged, capture)
-        if out.exists():
-            os.replace(out, old)
-        os.replace(staged, out)
-        progress(1.0, f"{len(pictures)} pictures in place")
-    except OSError as error:
-        if old.exists() and not out.exists():
-            os.replace(old, out)
-        raise ScanstageError(f"{out}: cannot be written ({error.strerror}); "
-                             f"check the disk space and the rights of {out.parent}") from None
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
-        if out.exists():
-            shutil.rmtree(old, ignore_errors=True)
+    progress(1.0, f"{len(pictures)} pictures in place")

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from ..memory import amount
 from ..options import Option
 from ..reconstruction.methods import COMMON_COUNTS
 
@@ -22,7 +23,7 @@ def option_lines(options: Iterable[Option]) -> list[str]:
 
 def reconstruction_lines(folder: Path, report: dict) -> list[str]:
     """Return what a reconstruction found, for a reader."""
-    counts, grid = report["counts"], report["grid"]
+    counts, grid, memory = report["counts"], report["grid"], report["memory"]
     shape = " x ".join(str(n) for n in grid["shape"])
     lines = [
         f"{folder}: {report['method']}, {shape} voxels of {grid['voxel_size']:.6g}",
@@ -30,8 +31,9 @@ def reconstruction_lines(folder: Path, report: dict) -> list[str]:
         *(f"  {name.replace('_', ' '):<20}{count:,}" for name, count in counts.items() if name not in COMMON_COUNTS),
         "  seconds             " + ", ".join(f"{name} {seconds:.2f}" for name, seconds in report["seconds"].items()),
     ]
-    if report["peak_memory"]:
-        lines.append(f"  peak memory         {report['peak_memory'] / 2 ** 20:,.0f} MiB (the whole process)")
+    lines.append(f"  memory              predicted {amount(memory['predicted'])}"
+                 + (f", used {amount(memory['used'])}" if memory["used"] is not None else "")
+                 + (f" (the whole process {amount(report['peak_memory'])})" if report["peak_memory"] else ""))
     ious = report["silhouette_iou"]
     if ious["mean"] is not None:
         worst = min(ious["views"], key=ious["views"].get)

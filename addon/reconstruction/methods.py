@@ -8,7 +8,6 @@ Panels, the command line, the tests and the manual all read `METHODS`. A new met
 from __future__ import annotations
 
 import time
-from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -16,11 +15,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import ScanstageError
-from ..memory import available_memory, peak_memory
+from ..memory import MemoryUse, amount, peak_memory
 from ..options import Option, Value, resolve
 from ..progress import Progress, part_of, silent
 from .active import color_stripes, desk_shadow, laser_stripe, speckle, stereo, structured_light
 from .active.measurement import measured_bounds, points_to_voxels
+from .forecast import (
+    Forecast,
+    MemoryOf,
+    hull_memory,
+    measuring_memory,
+    probability_memory,
+    sight_memory,
+    sweep_memory,
+)
 from .geometry import VoxelGrid
 from .mesh import TriangleMesh
 from .outcome import Outcome, VoxelLayer
@@ -42,13 +50,12 @@ from .volumetric.item_buffer import reprojection_iou
 from .volumetric.polyhedral_hull import Solids
 from .volumetric.surface import Surface, extract_surface
 from .volumetric.suspects import suspicion
-from .volumetric.volume import BRICK, SparseVolume
+from .volumetric.volume import SparseVolume
 
 DEFAULT_VOXELS = 128
 COMMON_COUNTS = ("views", "occupied", "surface", "quads", "unseen")
 """What the report of every method counts; a method adds counts of its own."""
-_BYTES_A_SURFACE_VOXEL = 450  # bricks, mesh, colours and the arrays on the way to them; see tests/reconstruction
-_BYTES_A_PIXEL = 24  # mask, its codes at every level, summed areas
+_CUBE = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
 _LARGEST_GRID = 1 << 14  # voxels a side: half-voxel coordinates stay exact in the octree's sums
 _LARGEST_NUMBER = 1e9  # of a bound, and one over the least size of a voxel: beyond, squares and products lose their meaning
 
@@ -67,6 +74,8 @@ class Method:
         ``function(scan, grid, *, progress, **options) -> Outcome``.
     bounds : callable
         ``bounds(scan, **options) -> (2, 3) array``: the working volume where the user gives none.
+    memory : callable
+        See `forecast.MemoryOf`.
     cuts_solids : bool
         Whether the function takes ``solids``, a solver that only Blender has.
     measure : callable, optional
@@ -81,44 +90,55 @@ class Method:
     options: tuple[Option, ...]
     function: Callable[..., Outcome]
     bounds: Callable[..., np.ndarray]
+    memory: MemoryOf
     cuts_solids: bool = False
     measure: Callable[..., object] | None = None
 
 
 METHODS = {method.name: method for method in (
     Method("visual-hull", "Visual Hull", "The largest shape with the captured silhouettes, carved by an octree",
-           ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds),
+           ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds, hull_memory),
     Method("shadow-carving", "Shadow Carving", "The visual hull, less the hollows that the shadows of an array of lights show to be empty",
-           ("silhouettes", "lights"), shadow_carving.OPTIONS, shadow_carving.shadow_carving, shadow_carving.working_bounds),
+           ("silhouettes", "lights"), shadow_carving.OPTIONS, shadow_carving.shadow_carving, shadow_carving.working_bounds,
+           hull_memory),
     Method("polyhedral-hull", "Polyhedral Hull", "The visual hull as a polyhedron, exact for the silhouettes' outlines",
            ("silhouettes",), polyhedral_hull.OPTIONS, polyhedral_hull.polyhedral_hull, polyhedral_hull.working_bounds,
-           cuts_solids=True),
+           hull_memory, cuts_solids=True),
     Method("voxel-coloring", "Voxel Coloring", "What the views agree on, in one pass from near to far; all cameras on one side",
-           ("silhouettes", "colour"), voxel_coloring.OPTIONS, voxel_coloring.voxel_coloring, photo_hull.photo_bounds),
+           ("silhouettes", "colour"), voxel_coloring.OPTIONS, voxel_coloring.voxel_coloring, photo_hull.photo_bounds,
+           sweep_memory),
     Method("space-carving", "Space Carving", "What the views agree on, by planes that sweep in six directions until nothing changes",
-           ("silhouettes", "colour"), space_carving.OPTIONS, space_carving.space_carving, photo_hull.photo_bounds),
+           ("silhouettes", "colour"), space_carving.OPTIONS, space_carving.space_carving, photo_hull.photo_bounds,
+           sight_memory),
     Method("generalized-voxel-coloring", "Generalized Voxel Coloring", "What the views agree on, with exact visibility for any cameras",
            ("silhouettes", "colour"), generalized_voxel_coloring.OPTIONS, generalized_voxel_coloring.generalized_voxel_coloring,
-           photo_hull.photo_bounds),
+           photo_hull.photo_bounds, sight_memory),
     Method("probabilistic-carving", "Probabilistic Carving", "How probable each voxel is, given what all pictures show and what hides what",
            ("silhouettes", "colour"), probabilistic_carving.OPTIONS, probabilistic_carving.probabilistic_carving,
-           probabilistic_carving.probabilistic_bounds),
+           probabilistic_carving.probabilistic_bounds, probability_memory),
     Method("space-sweep", "Space Sweep", "Points that edges of many pictures vote for, as a plane sweeps through the working volume",
-           ("silhouettes", "colour"), space_sweep.OPTIONS, space_sweep.space_sweep, photo_hull.photo_bounds),
+           ("silhouettes", "colour"), space_sweep.OPTIONS, space_sweep.space_sweep, photo_hull.photo_bounds, sweep_memory),
     Method("gray-code", "Gray Code", "Points where the camera sees a projector's Gray code, to a column",
-           ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_gray_code),
+           ("patterns",), structured_light.GRAY_OPTIONS, points_to_voxels, measured_bounds, measuring_memory,
+           measure=structured_light.measure_gray_code),
     Method("phase-shift", "Phase Shift", "Points where the camera sees a projector's sinusoids, to a small part of a column",
-           ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, measure=structured_light.measure_phase_shift),
+           ("patterns",), structured_light.PHASE_OPTIONS, points_to_voxels, measured_bounds, measuring_memory,
+           measure=structured_light.measure_phase_shift),
     Method("color-stripes", "Color Stripes", "Points where the camera sees edges of coloured stripes, all projected at once",
-           ("patterns",), color_stripes.OPTIONS, points_to_voxels, measured_bounds, measure=color_stripes.measure_color_stripes),
+           ("patterns",), color_stripes.OPTIONS, points_to_voxels, measured_bounds, measuring_memory,
+           measure=color_stripes.measure_color_stripes),
     Method("laser-stripe", "Laser Stripe", "Points where the camera sees a stripe, or a point, of light that sweeps over the object",
-           ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, measure=laser_stripe.measure_laser_stripe),
+           ("patterns",), laser_stripe.OPTIONS, points_to_voxels, measured_bounds, measuring_memory,
+           measure=laser_stripe.measure_laser_stripe),
     Method("stereo", "Stereo", "Points whose texture two neighbouring views show alike, without a projector",
-           ("silhouettes", "colour"), stereo.OPTIONS, points_to_voxels, measured_bounds, measure=stereo.measure_stereo),
+           ("silhouettes", "colour"), stereo.OPTIONS, points_to_voxels, measured_bounds, measuring_memory,
+           measure=stereo.measure_stereo),
     Method("speckle", "Speckle", "Depth maps from one picture of a projector's pseudo-random dots each, as a depth sensor takes them",
-           ("patterns",), speckle.OPTIONS, points_to_voxels, measured_bounds, measure=speckle.measure_speckle),
+           ("patterns",), speckle.OPTIONS, points_to_voxels, measured_bounds, measuring_memory,
+           measure=speckle.measure_speckle),
     Method("desk-shadow", "Desk Shadow", "Points where the shadow of a stick, swept over an object on a desk, is seen to arrive",
-           ("patterns",), desk_shadow.OPTIONS, points_to_voxels, measured_bounds, measure=desk_shadow.measure_desk_shadow),
+           ("patterns",), desk_shadow.OPTIONS, points_to_voxels, measured_bounds, measuring_memory,
+           measure=desk_shadow.measure_desk_shadow),
 )}
 
 
@@ -201,15 +221,17 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     if entry.cuts_solids and solids is None:
         raise ScanstageError(f"method {method} cuts solids with Blender's solver; run it where Blender is, or give `solids`")
     tools = {"solids": solids} if entry.cuts_solids else {}
-    watch, measured = Stopwatch(), {}
+    watch, use, measured = Stopwatch(), MemoryUse(), {}
     if entry.measure is not None:
+        expected = _expected_memory(entry, scan, scan.bounds if bounds is None else bounds, voxels, values, progress)
         with watch.step("measure"):
             measured["measured"] = entry.measure(scan, progress=part_of(progress, 0.0, 0.4), **values)
         progress = part_of(progress, 0.4, 1.0)
     with watch.step("bounds"):
         box = bounds if bounds is not None else entry.bounds(scan, **measured, **values)
-        _refuse_too_large(box, voxels, scan)
         grid = _grid(box, voxels)
+        if entry.measure is None:
+            expected = _expected_memory(entry, scan, box, voxels, values, progress)
     with watch.step("carve"):
         outcome = entry.function(scan, grid, progress=part_of(progress, 0.02, 0.5), **measured, **tools, **values)
     volume, found = outcome.volume, dict(outcome.report)
@@ -230,9 +252,24 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         "method": method, "options": values, "voxels": voxels, "counts": counts,
         "grid": {"origin": grid.origin.tolist(), "voxel_size": grid.voxel_size, "shape": list(grid.shape)},
         "silhouette_iou": {"mean": round(float(np.mean(list(ious.values()))), 4) if ious else None, "views": ious},
-        "seconds": watch.seconds, "peak_memory": peak_memory(), "warnings": warnings, **found,
+        "seconds": watch.seconds, "memory": {"predicted": expected, "used": use.peak()}, "peak_memory": peak_memory(),
+        "warnings": warnings, **found,
     }
     return Reconstruction(volume, surface, colors, report, outcome.layers, outcome.pictures, outcome.mesh, outcome.points)
+
+
+def _expected_memory(entry: Method, scan: Scan, bounds: np.ndarray | None, voxels: int, values: Mapping[str, Value],
+                     progress: Progress) -> int:
+    """Return and report the memory that the work will take, or refuse it where there is not as much.
+
+    Where there are no ``bounds`` before there are points, the working volume is taken for a cube.
+    """
+    forecast = Forecast.of(entry.memory, scan, lambda count: _grid(_CUBE if bounds is None else bounds, count), values,
+                           measures=entry.measure is not None)
+    forecast.refuse_too_large(voxels)
+    expected = forecast.bytes(voxels)
+    progress(0.0, f"Memory needed: about {amount(expected)}")
+    return expected
 
 
 def _silhouette_ious(surface: Surface, grid: VoxelGrid, scan: Scan, progress: Progress) -> dict[str, float]:
@@ -282,28 +319,3 @@ def _clipped(volume: SparseVolume) -> list[str]:
              (("-", lower[i] == 0), ("+", upper[i] == volume.grid.shape[i] - 1)) if clipped]
     return [f"the working volume clips the result at {' '.join(sides)}: give wider --bounds, or accept it if that is where the "
             "object stands"] if sides else []
-
-
-def predicted_memory(grid: VoxelGrid, scan: Scan) -> int:
-    """Return the bytes that a reconstruction in this grid may need, for an object that fills the working volume."""
-    return memory_for(grid.shape, sum(view.camera.size[0] * view.camera.size[1] for view in scan.views))
-
-
-def memory_for(shape: tuple[int, int, int], pixels: int) -> int:
-    """Return what `predicted_memory` does, from the shape of the grid and the pixels of all pictures together."""
-    x, y, z = shape
-    bricks = 4 * (x // BRICK + 1) * (y // BRICK + 1) * (z // BRICK + 1)
-    return _BYTES_A_SURFACE_VOXEL * 2 * (x * y + y * z + z * x) + _BYTES_A_PIXEL * pixels + bricks
-
-
-def _refuse_too_large(bounds: np.ndarray, voxels: int, scan: Scan) -> None:
-    def need(count: int) -> int:
-        return predicted_memory(_grid(bounds, count), scan)
-
-    there = available_memory()
-    if need(voxels) <= there:
-        return
-    fitting = bisect_right(range(1, voxels), there, key=need)  # before the first count that does not fit: the largest that does
-    remedy = f"at most {fitting} fit" if fitting else "the pictures alone are too many or too large"
-    raise ScanstageError(f"--voxels: {voxels} voxels a side may need {need(voxels) / 2 ** 30:.3g} GiB of memory and "
-                         f"{there / 2 ** 30:.3g} GiB are free; {remedy}")

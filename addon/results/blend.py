@@ -13,7 +13,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..errors import ScanstageError
-from ..files import sibling
+from ..files import NotWritten, check_room, sibling
 
 
 def new_file() -> None:
@@ -36,7 +36,7 @@ def open_blend(path: Path) -> None:
     try:
         bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
     except RuntimeError as error:
-        raise ScanstageError(f"{path}: Blender cannot open it ({_reason(error)}); stage it again") from None
+        raise ScanstageError(f"{path}: Blender cannot open it ({reason_of(error)}); stage it again") from None
 
 
 def frame_scene(scene: bpy.types.Scene) -> None:
@@ -72,14 +72,17 @@ def save_blend(path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=True)
+        check_room(path.parent)
         os.replace(temporary, path)
     except (OSError, RuntimeError) as error:
-        raise ScanstageError(f"{path}: cannot be written ({_reason(error)}); check the folder and the disk space") from None
+        raise NotWritten(path, reason_of(error)) from None
     finally:
         with suppress(OSError):  # it is not there, or what is wrong has been said
             temporary.unlink()
 
 
-def _reason(error: OSError | RuntimeError) -> str:
+def reason_of(error: OSError | RuntimeError) -> str:
     """Return what went wrong without the file's name, which may be a temporary one, on one line."""
-    return getattr(error, "strerror", None) or " ".join(str(error).split()).rsplit(": ", 1)[-1]
+    lines = str(error).split("\nLocation:")[0].strip().splitlines()  # of an operator that is Python's the last tells, of others all do
+    told = lines[-1:] if any("Traceback" in line for line in lines) else lines
+    return getattr(error, "strerror", None) or " ".join(" ".join(told).split()).rsplit(": ", 1)[-1]

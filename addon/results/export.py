@@ -10,10 +10,11 @@ lengths.
 
 from __future__ import annotations
 
+import io
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,8 +23,10 @@ import bpy
 import numpy as np
 
 from ..errors import ScanstageError
+from ..files import NotWritten, check_room
 from ..options import Option, Value, resolve
 from ..progress import Progress, silent
+from .blend import reason_of
 from .folder import read_result
 from .materials import remove_if_unused
 from .objects import add_polygon_mesh, add_voxel_mesh
@@ -160,13 +163,12 @@ def _write_whole(path: Path, write: Callable[[Path], None]) -> None:
         with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
             temporary = Path(folder, path.name).with_suffix(path.suffix.lower())
             write(temporary)
+            check_room(path.parent)
             for part in set(Path(folder).iterdir()) - {temporary}:  # first: the file names them
                 os.replace(part, path.parent / part.name)
             os.replace(temporary, path)
-    except OSError as error:
-        raise ScanstageError(f"{path}: cannot be written ({error.strerror})") from None
-    except RuntimeError as error:  # how operators report what goes wrong
-        raise ScanstageError(f"{path}: cannot be written ({str(error).removeprefix('Error: ').strip()})") from None
+    except (OSError, RuntimeError) as error:  # the latter is how operators report what goes wrong
+        raise NotWritten(path, reason_of(error)) from None
 
 
 def _write_blend(scene: bpy.types.Scene, filepath: str) -> None:
@@ -192,7 +194,7 @@ def _write_stl(scene: bpy.types.Scene, filepath: str) -> None:
 def _write_glb(scene: bpy.types.Scene, filepath: str) -> None:
     if not hasattr(bpy.types, "EXPORT_SCENE_OT_gltf"):  # the only exporter that is an add-on
         raise ScanstageError(f"{Path(filepath).name}: enable Blender's add-on \"glTF 2.0 format\" to write .glb files")
-    with _in(scene):
+    with _in(scene), redirect_stderr(io.StringIO()):  # of an error it would print the traceback, besides raising it
         # Without use_active_scene the file would hold every scene there is.
         bpy.ops.export_scene.gltf(filepath=filepath, export_format='GLB', use_active_scene=True,
                                   export_vertex_color='ACTIVE', export_apply=True, export_animations=False)

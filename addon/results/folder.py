@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,7 +29,7 @@ import cv2
 import numpy as np
 
 from ..errors import ScanstageError
-from ..files import replacing, sibling
+from ..files import making, replacing
 from ..reconstruction.color import linear_to_srgb
 from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.mesh import TriangleMesh
@@ -139,8 +138,7 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
         An argument does not fit the others; nothing is written.
     """
     check_replaceable(folder)
-    folder = Path(folder).resolve()
-    layers = layers or {}
+    folder, layers = Path(folder), layers or {}
     text = _encode({**report, "format": FORMAT, "version": VERSION, "grid": _grid_fields(volume.grid), "layers": layer_fields(layers),
                     **({} if mesh is None else {"mesh": _TRIANGLES})})
     files = {PREVIEW: _png(preview)} | {f"{PICTURES}/{name}.png": _png(picture) for name, picture in (pictures or {}).items()}
@@ -151,27 +149,19 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
             raise ValueError(f"colors must have one row for each of the {len(surface.voxels)} surface voxels")
         arrays |= {"surface_colors": colors.rgb.astype(np.float32), "surface_views": colors.views.astype(np.uint16)}
         vertex_colors = _vertex_colors(surface, colors.rgb)
-    temporary = sibling(folder)
-    try:
-        temporary.mkdir(parents=True)
-        write_volume(temporary / VOLUME, volume, arrays)
+    with making(folder) as made:
+        write_volume(made / VOLUME, volume, arrays)
         if mesh is None:
-            write_ply(temporary / MESH, surface.vertices, surface.quads, vertex_colors=vertex_colors)
+            write_ply(made / MESH, surface.vertices, surface.quads, vertex_colors=vertex_colors)
         else:
-            write_ply(temporary / MESH, mesh.vertices, mesh.triangles, double=True)
+            write_ply(made / MESH, mesh.vertices, mesh.triangles, double=True)
         if points is not None:
-            write_points(temporary / POINTS, points)
+            write_points(made / POINTS, points)
         if pictures:
-            (temporary / PICTURES).mkdir()
+            (made / PICTURES).mkdir()
         for name, data in files.items():
-            _write(temporary / name, data)
-        _write(temporary / REPORT, text)
-        _put_in_place(temporary, folder)
-    except OSError as error:
-        raise ScanstageError(f"{folder}: cannot be written ({error.strerror}); "
-                             "check the disk space and its rights") from None
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            _write(made / name, data)
+        _write(made / REPORT, text)
 
 
 def read_result(folder) -> Result:
@@ -251,20 +241,6 @@ def _png(preview: np.ndarray) -> bytes:
         raise ValueError(f"preview must be (h, w, 3 or 4) uint8, not {preview.shape} {preview.dtype}")
     code = cv2.COLOR_RGB2BGR if preview.shape[2] == 3 else cv2.COLOR_RGBA2BGRA
     return cv2.imencode(".png", cv2.cvtColor(np.ascontiguousarray(preview), code))[1].tobytes()
-
-
-def _put_in_place(temporary: Path, folder: Path) -> None:
-    """Rename a finished folder to its name; what was there before is kept until then."""
-    old = sibling(folder)
-    if folder.exists():
-        os.rename(folder, old)
-    try:
-        os.rename(temporary, folder)
-    except OSError:
-        if old.exists():
-            os.rename(old, folder)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def _write(path: Path, data: bytes) -> None:

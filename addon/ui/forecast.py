@@ -7,9 +7,10 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..memory import available_memory
+from ..memory import amount, available_memory
+from ..reconstruction.forecast import Workload
 from ..reconstruction.geometry import VoxelGrid
-from ..reconstruction.methods import memory_for
+from ..reconstruction.methods import METHODS
 
 
 def capture_cost(scene: bpy.types.Scene) -> str:
@@ -26,7 +27,8 @@ def reconstruction_cost(settings: bpy.types.PropertyGroup) -> list[str]:
             shape = VoxelGrid.from_bounds(np.array(settings.bounds_lower), np.array(settings.bounds_upper), settings.voxels).shape
         except ValueError as error:
             return [f"! {error}"]
-    need, there = memory_for(shape, int(settings.capture_pixels)), available_memory()
+    work = Workload.most(shape, settings.capture_frames, int(settings.capture_pixels))
+    need, there = METHODS[settings.method].memory(work), available_memory()
     return [f"{' x '.join(map(str, shape))} voxels at most",
             f"{'! ' if need > there else ''}{amount(need)} of memory at most, {amount(there)} are free"]
 
@@ -36,8 +38,3 @@ def duration(seconds: float) -> str:
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 90 * 60 else f"{seconds / 3600:.1f} h"
-
-
-def amount(size: float) -> str:
-    """Return bytes as a person says them."""
-    return f"{size / 2 ** 30:.1f} GiB" if size >= 2 ** 30 else f"{size / 2 ** 20:.0f} MiB"

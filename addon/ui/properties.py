@@ -96,6 +96,7 @@ def _settings_fields() -> dict:
                                          description="Folder of the capture set. Empty: scanstage/capture beside this file, or in "
                                          "Blender's temporary folder, which goes with Blender, while the file is not saved"),
         "capture_state": StringProperty(description="What the last capture or import left"),
+        "capture_frames": IntProperty(description="Captured frames"),
         "capture_pixels": FloatProperty(description="Pixels of all captured frames together"),
         "frame_seconds": FloatProperty(description="How long a frame of the last capture took"),
         "import_format": EnumProperty(name="Format", description="How the captures were calibrated", items=_items(IMPORTERS)),

@@ -11,6 +11,7 @@ from . import (
     hull_2d,
     lambertian,
     octree_count,
+    robustness,
     shadow_carving,
     threshold,
     uniqueness,
@@ -19,4 +20,4 @@ from . import (
 
 EXPERIMENTS = {module.EXPERIMENT.name: module.EXPERIMENT
                for module in (hull_2d, octree_count, cost, voxel_sizes, accuracy, concavities, shadow_carving, uniqueness, lambertian,
-                              threshold, consistency_measures, all_methods)}
+                              threshold, consistency_measures, robustness, all_methods)}

@@ -4,7 +4,6 @@
 
 import inspect
 import json
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +11,7 @@ import pytest
 
 from addon.errors import Cancelled, ScanstageError
 from addon.options import Option
-from addon.reconstruction import methods
-from addon.reconstruction.methods import METHODS, predicted_memory, reconstruct
+from addon.reconstruction.methods import METHODS, reconstruct
 from addon.reconstruction.scan import Scan
 from addon.reconstruction.silhouettes import SILHOUETTE_OPTIONS, extract
 from tests.rigs import Ball, ring, views_of
@@ -191,52 +189,3 @@ def test_a_mask_that_cannot_be_used_is_refused(scan, mask, message):
 def test_a_working_volume_beside_the_object_is_empty(scan):
     with pytest.raises(ScanstageError, match="^the visual hull is empty"):
         reconstruct(scan, "visual-hull", voxels=16, bounds=BOUNDS * 0.1 + np.array([0, 0, 0.95]))
-
-
-# --- memory ------------------------------------------------------------------------------------------------------------------
-
-def grid_of(voxels: int, bounds=BOUNDS):
-    return methods.VoxelGrid.from_bounds(*bounds, voxels)
-
-
-def test_predicted_memory_grows_with_voxels_views_and_pixels(scan):
-    needs = [predicted_memory(grid_of(voxels), scan) for voxels in range(1, 200)]
-    assert needs == sorted(needs) and needs[0] < needs[-1]
-    assert predicted_memory(grid_of(64), Scan(scan.views * 2)) > predicted_memory(grid_of(64), scan)
-    larger = tuple(replace(view, camera=view.camera.scaled(2)) for view in scan.views)
-    assert predicted_memory(grid_of(64), Scan(larger)) > predicted_memory(grid_of(64), scan)
-
-
-@pytest.mark.parametrize(("bounds", "filled"), [(BOUNDS, 0.2), ([(-0.3, -0.3, 0.1), (0.2, 0.2, 0.4)], 1.0)])
-def test_predicted_memory_is_enough_and_not_far_too_much(scan, bounds, filled):
-    """An object that fills the working volume needs most; a ball in it has a third of the surface."""
-    bounds = np.array(bounds)
-    tracemalloc.start()
-    try:
-        found = reconstruct(scan, "visual-hull", voxels=128, bounds=bounds)
-        used = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert found.report["counts"]["occupied"] / found.volume.grid.count >= filled
-    predicted = predicted_memory(grid_of(128, bounds), scan)
-    assert used <= predicted <= 8 * used
-
-
-def test_too_many_voxels_are_refused_before_the_work_with_the_largest_count_that_fits(scan, monkeypatch):
-    limit = predicted_memory(grid_of(77), scan)
-    monkeypatch.setattr(methods, "available_memory", lambda: limit)
-
-    def no_work(fraction, message):
-        raise AssertionError("the work has begun")
-
-    with pytest.raises(ScanstageError, match=r"^--voxels: 300 voxels a side may need .* GiB of memory .* at most 77 fit$"):
-        reconstruct(scan, "visual-hull", voxels=300, bounds=BOUNDS, progress=no_work)
-    assert reconstruct(scan, "visual-hull", voxels=77, bounds=BOUNDS).volume.count()
-    with pytest.raises(ScanstageError, match="at most 77 fit"):
-        reconstruct(scan, "visual-hull", voxels=78, bounds=BOUNDS, progress=no_work)
-
-
-def test_pictures_that_do_not_fit_are_said_to_be_the_reason(scan, monkeypatch):
-    monkeypatch.setattr(methods, "available_memory", lambda: 1000)
-    with pytest.raises(ScanstageError, match="the pictures alone are too many or too large$"):
-        reconstruct(scan, "visual-hull", voxels=8, bounds=BOUNDS)

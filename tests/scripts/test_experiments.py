@@ -20,6 +20,7 @@ from experiments import (
     hull_2d,
     lambertian,
     octree_count,
+    robustness,
     stage,
     threshold,
     uniqueness,
@@ -335,3 +336,31 @@ def test_an_unknown_experiment_is_a_wrong_call(tmp_path):
     assert answer.returncode == 2 and "nonsense" in answer.stderr and "hull-2d" in answer.stderr
     # Blender itself may say something there about a machine without file systems.
     assert not any(line.startswith(("|", "#")) for line in answer.stdout.splitlines()) and not list(tmp_path.iterdir())
+
+
+# --- robustness ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fault", robustness.FAULTS)
+def test_a_fault_is_what_it_says_and_the_same_every_time(scan, fault):
+    first, second = (robustness.faulty(scan, fault).views for _ in range(2))
+    assert all((a.mask == b.mask).all() and (a.camera.K == b.camera.K).all() for a, b in zip(first, second, strict=True))
+    spoilt = [number for number, (a, b) in enumerate(zip(first, scan.views, strict=True)) if (a.mask != b.mask).any()]
+    moved = np.array([a.camera.K[:2, 2] - b.camera.K[:2, 2] for a, b in zip(first, scan.views, strict=True)])
+    assert (moved != 0).all() == fault.startswith("calibration") and np.abs(moved).max() < 4 * 2
+    if fault.startswith("salt"):
+        share = np.mean([(a.mask != b.mask).mean() for a, b in zip(first, scan.views, strict=True)])
+        assert share == pytest.approx(0.005, rel=0.1)  # of a hundredth of the pixels half have the other value already
+        assert np.mean([(a.read_image() != 1).any(axis=2).mean() for a in first]) == pytest.approx(0.005, rel=0.1)  # the pictures are white
+    else:
+        assert spoilt == ([robustness.WRONG] if fault.startswith("1 wrong mask") else [])
+
+
+def test_the_wrong_view_is_named_and_forgiving_it_gives_the_object_back(scan, truth):
+    bounds = np.array([[-0.12] * 3, [0.12] * 3])
+    none, wrong, forgiven = (dict(zip(("method", "fault", "tolerance", "loss", "excess", "within", "says"), robustness.judged(
+        scan, truth, "visual-hull", fault, tolerance, bounds, silent), strict=True)) for fault, tolerance in (
+            ("none", 0), (list(robustness.FAULTS)[1], 0), (list(robustness.FAULTS)[1], 1)))
+    assert none["says"] == "" and none["loss"] == 0
+    assert wrong["says"] == forgiven["says"] == f"names {scan.views[robustness.WRONG].name}"
+    assert wrong["loss"] > 0.05 and forgiven["loss"] == 0 and forgiven["excess"] < none["excess"] + 0.1

@@ -8,13 +8,13 @@ and none of the calibration board. Their cameras are those in the object frame, 
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import ScanstageError
+from ...files import making
 from ...options import Option, Value, resolve
 from ...progress import Progress, silent
 from ..files import write_bytes
@@ -94,20 +94,12 @@ def export_capture(format: str, folder: Path, out: Path, options: Mapping[str, V
     capture = read_capture(folder)
     views = _views(folder, capture, exporter.folder, values)
     files = exporter.function(views)
-    staged = out.resolve().with_name(f".{out.name}.{os.getpid()}.new")
-    try:
+    with making(out) as staged:
         for step, view in enumerate(views):
             progress(step / len(views), f"Writing {view.file}")
             _write_pictures(folder, capture, view, staged, values)
         for name, data in files.items():
             write_bytes(staged / name, data)
-        if out.is_dir():
-            out.rmdir()
-        os.replace(staged, out.resolve())
-    except OSError as error:
-        raise ScanstageError(f"{out}: cannot be written ({error.strerror}); check the disk space and the rights of {out.parent}") from None
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
     progress(1.0, f"{len(views)} pictures written")
     return len(views)
 

@@ -156,7 +156,7 @@ def _measured_sweep(view: View, pictures: Sequence[ProjectedPicture], contrast: 
     points = view.camera.centre + along[:, None] * rays
     # The dual form's error, 1 / Z being linear in the plane (Bouguet & Perona, 1999): here from the plane's motion at the point.
     motion = np.abs((change[:, :3] * points).sum(axis=1) - change[:, 3])
-    deviation = np.sqrt(0.5) * noise / drop[rows, columns] * motion / np.maximum(sine, 1e-12)
+    deviation = np.sqrt(0.5) * noise / drop[rows, columns].astype(np.float64) * motion / np.maximum(sine, 1e-12)
     known = np.isfinite(along)
     good = known & (along > 0) & (sine > np.sin(LEAST_ANGLE))
     reason[rows, columns] = np.select([good, known], [np.uint8(Reason.VALID), np.uint8(Reason.BEHIND)], np.uint8(Reason.UNCERTAIN))

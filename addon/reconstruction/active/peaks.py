@@ -39,7 +39,7 @@ def peak_offsets(windows: np.ndarray, estimator: str) -> np.ndarray:
 def centroid_deviations(windows: np.ndarray, noise: float) -> np.ndarray:
     """Return the expected standard deviation (n,) of the centroids of windows (2 k + 1, n) under additive noise, in samples."""
     places = np.arange(len(windows)) - len(windows) // 2
-    light = (windows - windows.min(axis=0)).sum(axis=0)
+    light = (windows - windows.min(axis=0)).sum(axis=0, dtype=np.float64)  # numpy 1 would divide in single precision, numpy 2 would not
     return noise * np.sqrt((places ** 2).sum()) / np.maximum(light, _TINY)
 
 

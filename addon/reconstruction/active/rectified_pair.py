@@ -56,7 +56,7 @@ class RectifiedPair:
     def depths(self, disparity: np.ndarray) -> np.ndarray:
         """Return depths along the common axis; infinite or negative where there is none."""
         with np.errstate(divide="ignore"):
-            return self.first.K[0, 0] * self.baseline / (disparity - self.offset)
+            return self.first.K[0, 0] * self.baseline / (np.asarray(disparity, np.float64) - self.offset)  # whichever way a numpy promotes
 
     def deviation(self, depths: np.ndarray, sigma: float) -> np.ndarray:
         """Return the expected error of depths for one of ``sigma`` pixels in the disparity (Khoshelham & Elberink, 2012, eq. 9)."""

@@ -11,7 +11,7 @@ samples could not tell which of them is wrong.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -35,6 +35,7 @@ TOLERANCE = 0.02  # linear colour by which samples may always differ
 LEAST_SAMPLES = 20  # by which a view is judged
 FILL_STEPS = 2
 ROW = 4096
+VOXELS_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -98,9 +99,10 @@ def color_surface(surface: Surface, grid: VoxelGrid, views: Sequence[View], prog
     for number, bits in enumerate(seen):
         if number not in rejected:
             count += np.unpackbits(bits, count=len(count))
-    rgb = filled(surface, best.colors(), count > 0)
+    rgb = best.colors()
+    del best  # what fills the gaps takes as much again
     progress(1.0, "Surface coloured")
-    return SurfaceColors(rgb.astype(np.float32), count)
+    return SurfaceColors(filled(surface, rgb, count > 0).astype(np.float32), count)
 
 
 def _as_bits(rows: np.ndarray, size: int) -> np.ndarray:
@@ -203,10 +205,13 @@ class _Best:
 
     def reject(self, views: int) -> set[int]:
         """Remove the samples of views that disagree with the others all over; return the numbers of those views."""
-        used = self._used()
-        many = used.sum(axis=0) >= 3
-        residual = np.abs(self.rgb[:, many] - self._median(used)[many]).max(axis=2)
-        residual, view = residual[used[:, many]], self.view[:, many][used[:, many]]
+        residuals, seen_by = [], []
+        for part in self._parts():
+            used = part._used()
+            used[:, used.sum(axis=0) < 3] = False
+            residuals.append(np.abs(part.rgb - part._median(used)).max(axis=2)[used])
+            seen_by.append(part.view[used])
+        residual, view = np.concatenate(residuals), np.concatenate(seen_by)
         order = np.argsort(view, kind="stable")
         typical = np.full(views, np.nan)
         for number, own in enumerate(np.split(residual[order], np.searchsorted(view[order], np.arange(1, views)))):
@@ -223,6 +228,15 @@ class _Best:
 
     def colors(self) -> np.ndarray:
         """Return the (s, 3) weighted means of the samples near the median; 0 where there is no sample."""
+        return np.concatenate([part._means() for part in self._parts()])
+
+    def _parts(self) -> Iterator[_Best]:
+        """Yield the samples of some voxels after the other: what is worked out of them takes many times their memory."""
+        for start in range(0, max(1, self.weight.shape[1]), VOXELS_AT_ONCE):
+            part = slice(start, start + VOXELS_AT_ONCE)
+            yield _Best(self.weight[:, part], self.rgb[:, part], self.view[:, part])
+
+    def _means(self) -> np.ndarray:
         used = self._used()
         residual = np.abs(self.rgb - self._median(used)).max(axis=2)
         spread = _median_of(residual[..., None], used)[:, 0]

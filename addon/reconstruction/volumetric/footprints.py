@@ -278,14 +278,14 @@ def prepared(view: View, grid: VoxelGrid, *, border: int = BORDER, background: b
     between, for ``background``, is where it shows background: (h, w) bool.
     """
     image, camera = straightened(premultiplied(view, border=border), view.camera)
-    corners = grid.origin + np.array(list(product((0, 1), repeat=3))) * (grid.upper - grid.origin)
+    corners = corners_of(grid)
     step = reduction(camera, corners, grid.voxel_size)
     image, camera = reduced(image, step), camera.scaled(1 / step)
     whole = image[..., 3] > 0.999
     image = np.where(whole[..., None], image / np.maximum(image[..., 3:], 1e-6), 0).astype(np.float32)
     outside = np.zeros_like(whole)
     if background and view.mask is not None:
-        outside = _background(view, step, voxel=_voxel_in_pixels(camera, corners, grid.voxel_size))
+        outside = _background(view, step, voxel=voxel_in_pixels(camera, corners, grid.voxel_size))
     left, top, right, bottom = _window(camera, corners, whole | outside)
     image, outside = (cv2.copyMakeBorder(array[top:bottom, left:right], 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=(0, 0, 0, 0))
                       for array in (image, outside.astype(np.uint8)))
@@ -320,12 +320,17 @@ def straightened(image: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]
     return image, ideal
 
 
+def corners_of(grid: VoxelGrid) -> np.ndarray:
+    """Return the (8, 3) corners of a grid: what is nearest to a camera is one of them."""
+    return grid.origin + np.array(list(product((0, 1), repeat=3))) * (grid.upper - grid.origin)
+
+
 def reduction(camera: Camera, points: np.ndarray, voxel_size: float) -> int:
     """Return by how much a picture can be reduced and still have `PIXELS_PER_VOXEL`, for the nearest of the points."""
-    return max(1, int(_voxel_in_pixels(camera, points, voxel_size) / PIXELS_PER_VOXEL))
+    return max(1, int(voxel_in_pixels(camera, points, voxel_size) / PIXELS_PER_VOXEL))
 
 
-def _voxel_in_pixels(camera: Camera, points: np.ndarray, voxel_size: float) -> float:
+def voxel_in_pixels(camera: Camera, points: np.ndarray, voxel_size: float) -> float:
     """Return how many pixels a voxel spans at the nearest of the points, at most a whole picture."""
     depth = (points - camera.centre) @ camera.forward
     if not (depth > 0).any():

@@ -22,7 +22,7 @@ from .silhouette_test import CHILD, MIXED, OUTSIDE, SilhouetteTest
 from .volume import BRICK, EMPTY, FULL, SparseVolume, brick_counts
 
 _ROOTS = 16  # cells along the longest side that are tested before any is split
-_VOXELS_ACROSS = 512  # of the largest volume that is carved at once; a finer one in parts with as much surface: bounds memory
+VOXELS_ACROSS = 512  # of the largest volume that is carved at once; a finer one in parts with as much surface: bounds memory
 _ALL = np.uint8(255)
 _CORNER = CHILD.T.astype(np.int32)
 _BIT = np.arange(8, dtype=np.uint8)[:, None]
@@ -87,7 +87,7 @@ def carve(tests: Sequence[SilhouetteTest], grid: VoxelGrid, *, tolerance: int = 
         test.prepare(size)
     axes = (np.arange(0, n, 2 * size, dtype=np.int32) for n in grid.shape)
     cells = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
-    share = min(1.0, (_VOXELS_ACROSS / max(grid.shape)) ** 2)
+    share = min(1.0, (VOXELS_ACROSS / max(grid.shape)) ** 2)
     parts = np.array_split(cells, min(cells.shape[1], round(1 / share)), axis=1)
     store, counts = _BrickStore(grid), Counts(alone=np.zeros(len(tests), int))
     for done, part in enumerate(parts):

@@ -54,10 +54,10 @@ def start(scan: Scan, grid: VoxelGrid, kind: str, progress: Progress = silent) -
     if kind == "hull":
         hull = visual_hull(scan, grid, **HULL, progress=progress)
         return Carving(hull.volume), hull.report["warnings"]
-    return Carving(_box(grid)), []
+    return Carving(whole_box(grid)), []
 
 
-def _box(grid: VoxelGrid) -> SparseVolume:
+def whole_box(grid: VoxelGrid) -> SparseVolume:
     """Return the volume of all voxels of a grid."""
     if all(n % BRICK == 0 for n in grid.shape):
         return SparseVolume(grid, np.full(brick_counts(grid), FULL, np.int32), np.zeros((0, BRICK, BRICK, BRICK), bool))

@@ -22,6 +22,7 @@ import numpy as np
 from .volume import BRICK, EMPTY, FULL, SparseVolume
 
 CHUNK = 512  # bricks worked on together: their tables (1.5 MB) stay in the cache
+FACES_AT_ONCE = 1 << 16
 LATTICE = BRICK + 1  # lattice points along the edge of a brick, both ends counted
 
 _BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1, bitorder="little").astype(np.int32)
@@ -107,11 +108,13 @@ class Surface:
         The neighbourhood is that of the surface, not of space: the other side of a thin wall has no part in it.
         """
         out = np.zeros(values.shape)
+        parts = [slice(start, start + FACES_AT_ONCE) for start in range(0, len(self.quads), FACES_AT_ONCE)]
         for channel in range(values.shape[1]):
-            on_faces = values[:, channel].take(self.face_voxel)
-            at_vertices = np.bincount(self.quads.ravel(), np.repeat(on_faces, 4), minlength=len(self.vertices))
-            around = at_vertices.take(self.quads).sum(axis=1)
-            out[:, channel] = np.bincount(self.face_voxel, around, minlength=len(self.voxels))
+            of_voxels, at_vertices = values[:, channel].astype(np.float64), np.zeros(len(self.vertices))
+            for part in parts:
+                np.add.at(at_vertices, self.quads[part].ravel(), np.repeat(of_voxels.take(self.face_voxel[part]), 4))
+            for part in parts:
+                np.add.at(out[:, channel], self.face_voxel[part], at_vertices.take(self.quads[part]).sum(axis=1))
         return out
 
 

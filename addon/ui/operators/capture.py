@@ -156,7 +156,8 @@ def timed_capture(scene: bpy.types.Scene, most: int | None = None) -> Iterator[t
 
 def note_capture(settings: bpy.types.PropertyGroup, folder: Path) -> None:
     """Note in the scene's settings what a capture set holds."""
-    settings.capture_state, settings.capture_pixels = capture_state(folder), _counted(folder)[2]
+    settings.capture_state = capture_state(folder)
+    settings.capture_frames, _, settings.capture_pixels = _counted(folder)
 
 
 def capture_state(folder: Path) -> str:

@@ -102,7 +102,7 @@ def test_carving_in_parts_changes_nothing(monkeypatch):
     grid = VoxelGrid.from_bounds((-1, -1, -1), (1, 1, 1), 300)
     tests = prepared(cameras, [silhouette(c, [Ball((0.2, 0, 0), 0.7)]) for c in cameras], grid)
     whole = carve(tests, grid)[0]
-    monkeypatch.setattr(octree, "_VOXELS_ACROSS", 50)
+    monkeypatch.setattr(octree, "VOXELS_ACROSS", 50)
     parts = carve(tests, grid)[0]
     assert np.array_equal(whole.brick_map, parts.brick_map) and np.array_equal(whole.bricks, parts.bricks)
 
