@@ -166,7 +166,7 @@ def test_a_bad_line_of_colmaps_is_named(tmp_path, text, problem):
 def test_no_file_outside_is_read(tmp_path, name):
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 16 12 1 2 3 4\n")
     (tmp_path / "images.txt").write_text(f"1 1 0 0 0 0 0 3 1 {name}\n\n")
-    with pytest.raises(ScanstageError, match="is no file below the pictures' folder"):
+    with pytest.raises(ScanstageError, match="leaves the source's folder"):
         import_capture("colmap", tmp_path, tmp_path / "set")
     (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 1, "frames": [{"file_path": name, "transform_matrix": np.eye(4).tolist()}]}))
     with pytest.raises(ScanstageError, match=r"frames\[0\].file_path"):

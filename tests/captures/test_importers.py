@@ -128,7 +128,7 @@ def test_middlebury_keeps_cameras_boxes_and_options(middlebury, tmp_path):
     ("3\n", "4\n", "x_par.txt: line 1 announces 4 pictures, 3 follow"),
     ("3\n", "many\n", "x_par.txt: line 1 must be the number of pictures"),
     ("x0002.png", "x0002.png 7", "x_par.txt: line 3 has 23 words"),
-    ("x0002.png", "x0003.png", "x_par.txt: line 3: the picture x0003.png is not in"),
+    ("x0002.png", "x0003.png", "x_par.txt: line 3: the picture 'x0003.png' is not in"),
     ("x0002.png", "../x0002.png", "x_par.txt: line 3: '../x0002.png' is no plain file name"),
     ("x0002.png 60", "x0002.png nan", "x_par.txt: line 3: a number is not finite"),
     ("x0002.png 60", "x0002.png K", "x_par.txt: line 3: one of the 21 values is no number"),

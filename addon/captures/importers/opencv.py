@@ -26,8 +26,7 @@ from ...errors import ScanstageError
 from ...reconstruction.geometry import Camera
 from ...reconstruction.volumetric.bounds import meeting_point
 from ..fields import MAX_NUMBER
-from ..picture_format import SUFFIXES
-from .sources import Import, assemble, camera_from, checked_size, read_text
+from .sources import Import, assemble, camera_from, checked_size, own_file, pictures_in, read_text
 
 NAMES = {"P": ("P", "projection_matrix", "projection"),
          "K": ("K", "camera_matrix", "cameraMatrix", "M", "intrinsics"),
@@ -55,13 +54,13 @@ def read_opencv(source: Path) -> Import:
     path = calibration_file(source)
     storage = open_storage(path)  # kept while its nodes are used: they point into it
     root = storage.root()
-    pictures = [item for item in sorted(path.parent.iterdir()) if item.suffix.lower() in SUFFIXES]
-    shared = _matrices(root, path.name)
+    pictures = pictures_in(path.parent)
+    shared = named_matrices(root, path.name)
     shared = {name: shared[name] for name in ("K", "distortion") if name in shared}
     found = []
     for name, node in _nodes(root, path.name):
         matrices = {"P": read_matrix(node, f"{path.name}: {name}")} if _is_matrix(node) \
-            else {**shared, **_matrices(node, f"{path.name}: {name}")}
+            else {**shared, **named_matrices(node, f"{path.name}: {name}")}
         if matrices.get("P", np.zeros(0)).shape == (3, 4) or {"K", "R", "t"} <= matrices.keys():
             found.append((name, _picture(node, name, path, pictures), matrices))
     if not found:
@@ -84,7 +83,7 @@ def calibration_file(source: Path) -> Path:
     if len(found) != 1:
         raise ScanstageError(f"{source}: holds {len(found)} XML, YAML or JSON files where one is needed; "
                              "give the file itself")
-    return found[0]
+    return own_file(source, found[0].name)
 
 
 def open_storage(path: Path) -> cv2.FileStorage:
@@ -152,7 +151,8 @@ def read_matrix(node: cv2.FileNode, place: str) -> np.ndarray:
     return value
 
 
-def _matrices(node: cv2.FileNode, place: str) -> dict[str, np.ndarray]:
+def named_matrices(node: cv2.FileNode, place: str) -> dict[str, np.ndarray]:
+    """Return those of P, K, distortion, R and t that a map holds, whichever of `NAMES` it calls them."""
     keys = set(node.keys())
     found = {}
     for name, spellings in NAMES.items():
@@ -191,7 +191,7 @@ def _cameras(found: list[tuple[str, Path, dict]], file: str) -> list[tuple[Path,
         place = f"{file}: {name}"
         size = checked_size(picture, place)
         cameras.append(_decomposed(matrices["P"], size, None, place) if "P" in matrices
-                       else _composed(matrices, size, place))
+                       else compose_camera(matrices, size, place))
     axes = np.array([camera.forward for camera in cameras])
     spread = np.linalg.eigvalsh(np.eye(3) - axes.T @ axes / len(axes))[0]
     if spread > _LEAST_SPREAD:
@@ -208,7 +208,14 @@ def _decomposed(P: np.ndarray, size: tuple[int, int], towards: np.ndarray | None
         raise ScanstageError(f"{place}: {error}; correct the calibration") from None
 
 
-def _composed(matrices: dict[str, np.ndarray], size: tuple[int, int], place: str) -> Camera:
+def compose_camera(matrices: dict[str, np.ndarray], size: tuple[int, int], place: str) -> Camera:
+    """Return the camera of K, R (or a Rodrigues vector), t and perhaps a distortion.
+
+    Raises
+    ------
+    ScanstageError
+        One of them is not what it must be.
+    """
     R = matrices["R"]
     if R.size == 3:
         R = cv2.Rodrigues(R.reshape(3))[0]

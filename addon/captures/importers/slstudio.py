@@ -18,10 +18,9 @@ import numpy as np
 from ...errors import ScanstageError
 from ...reconstruction.active.patterns import LARGEST_SIDE, code_bits
 from ...reconstruction.geometry import Camera
-from ..picture_format import SUFFIXES
 from ..schema import Capture, Frame
 from .opencv import calibration_file, open_storage, read_matrix
-from .sources import Import, camera_from, checked_size, natural_key
+from .sources import Import, camera_from, checked_size, pictures_in
 
 _CAMERA, _PROJECTOR = "camera", "projector"
 
@@ -41,7 +40,7 @@ def read_slstudio(source: Path) -> Import:
     """
     path = calibration_file(source)
     storage = open_storage(path)  # kept while its nodes are used: they point into it
-    frames = sorted((item for item in path.parent.iterdir() if item.suffix.lower() in SUFFIXES), key=lambda item: natural_key(item.name))
+    frames = pictures_in(path.parent)
     screen = tuple(_whole(storage.getNode(name), f"{path.name}: {name}") for name in ("screenResX", "screenResY"))
     names = _patterns(len(frames), screen[0], path)
     size = checked_size(frames[0], path.name)
