@@ -26,6 +26,7 @@ from .colmap import colmap_files
 from .middlebury import middlebury_files
 from .opencv import opencv_files
 from .transforms import transforms_files
+from .tum import tum_files
 from .views import ExportedView
 
 
@@ -56,6 +57,8 @@ EXPORTERS = {exporter.name: exporter for exporter in (
              transforms_files),
     Exporter("middlebury", "Middlebury Multi-View", "A *_par.txt with the pictures beside it; no lens distortion", "", middlebury_files),
     Exporter("opencv", "OpenCV FileStorage", "A cameras.yml with K, R, t and distortion of each picture beside it", "", opencv_files),
+    Exporter("tum", "TUM trajectory", "A groundtruth.txt and rgb.txt with one camera's K in camera.yml and the pictures in rgb", "rgb",
+             tum_files),
 )}
 OPTIONS = (
     Option("pictures", "srgb", "How the pictures are written", choices={
