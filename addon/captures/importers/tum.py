@@ -58,8 +58,8 @@ def read_tum(source: Path, *, tolerance: float) -> Import:
     shots = [(picture, pose) for picture, pose, stamp in zip(pictures, found, stamps, strict=True) if abs(pose[0] - stamp) <= tolerance]
     if not shots:
         raise ScanstageError(f"{path.name}: no picture has a pose within {tolerance:g} s of it; check the timestamps, or raise tolerance")
-    storage = open_storage(calibration)  # kept while its nodes are used: they point into it
-    camera = single_camera(storage, calibration, common_size([picture for picture, _ in shots], path.name))
+    with open_storage(calibration) as storage:
+        camera = single_camera(storage, calibration, common_size([picture for picture, _ in shots], path.name))
     return assemble([(picture, _posed(camera, pose[4:], pose[1:4])) for picture, pose in shots])
 
 

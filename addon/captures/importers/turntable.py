@@ -51,10 +51,10 @@ def read_turntable(source: Path, *, step: float) -> Import:
         The calibration cannot be read or does not say where the table is, there are no pictures, or they differ in size.
     """
     path = calibration_file(source)
-    storage = open_storage(path)  # kept while its nodes are used: they point into it
     pictures = pictures_in(path.parent)
-    camera = single_camera(storage, path, common_size(pictures, path.name))
-    point, direction = _axis(storage, path)
+    with open_storage(path) as storage:
+        camera = single_camera(storage, path, common_size(pictures, path.name))
+        point, direction = _axis(storage, path)
     found = assemble([(picture, camera) for picture in pictures])
     step = step or 2 * math.pi / len(pictures)
     frames = tuple(replace(frame, camera=CAMERA, object_to_world=_turn(point, direction, number * step))
