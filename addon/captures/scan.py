@@ -181,6 +181,18 @@ def _projected_view(capture: Capture, pictures: tuple[ProjectedPicture, ...]) ->
     return View(frame.id, capture.camera_of(frame), None, own.read_image, projected=pictures)
 
 
+def views_of_object(capture: Capture) -> list[Frame]:
+    """Return of each camera and pose the frame with the most light, none of a calibration board.
+
+    Where every frame is under a pattern, it is the first of each camera and pose.
+    """
+    of_object = [frame for frame in capture.frames if frame.board_pose is None]
+    plain = [frame for frame in of_object if frame.pattern is None]
+    if plain:
+        return [group[0] for group in lighting_groups(plain)]
+    return list({_place(frame): frame for frame in reversed(of_object)}.values())[::-1]
+
+
 def lighting_groups(frames: Iterable[Frame]) -> list[tuple[Frame, ...]]:
     """Return the frames that differ by their lights only, as one group each, in the order of their first frames.
 

@@ -218,6 +218,34 @@ def _mesh(call: argparse.Namespace, progress: Progress) -> dict:
     return {"file": str(call.out), "faces": faces, "lines": [f"{call.out}: {faces} faces"]}
 
 
+def _view_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("capture", metavar="CAPTURE", type=Path)
+    parser.add_argument("--out", metavar="FILE.blend", required=True, type=Path)
+    parser.add_argument("--result", metavar="RESULT", type=Path, help="a result's folder, whose mesh is put among the cameras")
+
+
+def _view(call: argparse.Namespace, progress: Progress) -> dict:
+    import bpy
+
+    from ..results.blend import frame_scene, new_file, save_blend
+    from ..results.cameras import show_cameras
+    from ..results.folder import read_result
+    from ..results.present import show_result
+
+    _no_settings(call, "view")
+    result = None if call.result is None else read_result(call.result)
+    new_file()
+    progress(0.3, "Placing the cameras")
+    warnings = show_cameras(bpy.context.scene, call.capture)
+    if result is not None:
+        show_result(bpy.context.scene, result)
+    frame_scene(bpy.context.scene)
+    save_blend(call.out)
+    count = sum(member.type == 'CAMERA' for member in bpy.context.scene.objects)
+    return {"file": str(call.out), "cameras": count, "warnings": warnings,
+            "lines": [f"{call.out}: {count} camera(s), each with its picture", *(f"  warning: {warning}" for warning in warnings)]}
+
+
 def _methods(call: argparse.Namespace, progress: Progress) -> dict:
     _no_settings(call, "methods")
     lines, report = [], {}
@@ -273,6 +301,7 @@ VERBS = {
     "reconstruct": Verb("run one method on a capture set", _reconstruct_arguments, _reconstruct),
     "evaluate": Verb("compare a result with the truth", _evaluate_arguments, _evaluate),
     "mesh": Verb("write a result's mesh, voxels or points as a file for other programs", _mesh_arguments, _mesh, _endings),
+    "view": Verb("put a capture set's cameras into a .blend, each with its picture behind it", _view_arguments, _view),
     "methods": Verb("list the methods with their options, units and defaults", _no_arguments, _methods),
     "presets": Verb("list the rigs with their options, and the built-in objects", _no_arguments, _presets),
 }

@@ -29,6 +29,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ..captures.files import inside
 from ..errors import ScanstageError
 from ..files import replacing, sibling
 from ..reconstruction.color import linear_to_srgb
@@ -194,6 +195,8 @@ def read_result(folder) -> Result:
         A file is missing, damaged, of an unknown version, or disagrees with another.
     """
     folder = Path(folder)
+    for name in (REPORT, VOLUME, MESH, POINTS):
+        inside(folder, name, str(folder / name), whole="result")
     report = read_report(folder)
     grid = _grid(report, folder / REPORT)
     check_size(grid, folder / REPORT)

@@ -19,7 +19,7 @@ from ...options import Option, Value, resolve
 from ...progress import Progress, silent
 from ..files import write_bytes
 from ..pictures import read_picture, write_picture
-from ..scan import MASKS, lighting_groups
+from ..scan import MASKS, views_of_object
 from ..schema import FILE_NAME, Capture, Frame
 from ..store import read_capture
 from .colmap import colmap_files
@@ -116,8 +116,7 @@ def export_capture(format: str, folder: Path, out: Path, options: Mapping[str, V
 
 
 def _views(folder: Path, capture: Capture, pictures: str, values: Mapping[str, Value]) -> list[ExportedView]:
-    frames = [group[0] for group in lighting_groups(frame for frame in capture.frames
-                                                    if frame.pattern is None and frame.board_pose is None)]
+    frames = [frame for frame in views_of_object(capture) if frame.pattern is None]
     missing = set(capture.missing)
     if late := [frame.id for frame in frames if frame.id in missing]:
         raise ScanstageError(f"{FILE_NAME}: missing: {len(late)} of {len(frames)} frames are not rendered yet (first: {late[0]}); run "

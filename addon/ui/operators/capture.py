@@ -20,6 +20,7 @@ from ...errors import ScanstageError
 from ...reconstruction.shadows import SHADOW_OPTIONS
 from ...reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ...render.capture import capture_frames
+from ...results.cameras import show_cameras
 from ..jobs import Job, idle, in_thread
 from ..masks import show_masks, show_shadows
 from ..properties import values_of
@@ -105,6 +106,28 @@ class SCANSTAGE_OT_export_capture(bpy.types.Operator, ExportHelper):
         return {'FINISHED'}
 
 
+class SCANSTAGE_OT_show_cameras(bpy.types.Operator):
+    """Put the captures' cameras into the scene, each with its picture behind it; a result that is shown then stands among them"""
+
+    bl_idname = "scanstage.show_cameras"
+    bl_label = "Show Cameras"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_captures(cls, context) and idle(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            warnings = show_cameras(context.scene, capture_folder(context.scene))
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        for warning in warnings:
+            self.report({'WARNING'}, warning)
+        return {'FINISHED'}
+
+
 class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
     """Extract the silhouettes and show them as the image of each camera; look through the camera and scrub"""
 
@@ -176,5 +199,5 @@ def _counted(folder: Path) -> tuple[int, int, int]:
     return len(sizes), len(capture.frames), sum(width * height for width, height in sizes)
 
 
-CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_test_frame, SCANSTAGE_OT_import, SCANSTAGE_OT_export_capture, SCANSTAGE_OT_show_masks,
-           SCANSTAGE_OT_show_shadows)
+CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_test_frame, SCANSTAGE_OT_import, SCANSTAGE_OT_export_capture, SCANSTAGE_OT_show_cameras,
+           SCANSTAGE_OT_show_masks, SCANSTAGE_OT_show_shadows)
