@@ -11,11 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from addon.captures.contour_file import contours_text
 from addon.captures.importers import import_capture
 from addon.captures.importers.colmap import quaternion_to_rotation
 from addon.captures.pictures import write_picture
+from addon.captures.scan import load_scan
 from addon.captures.store import read_capture
 from addon.errors import ScanstageError
+from addon.reconstruction.contours import centres_within
 from addon.reconstruction.geometry import Camera, look_at, rotation_about
 
 SIZE = (40, 30)
@@ -167,7 +170,7 @@ def test_a_pose_is_exact(tmp_path_factory, q, centre):
     camera = capture.camera_of(capture.frames[0])
     vector = q[:3]
     angle = 2 * math.atan2(np.linalg.norm(vector), q[3])
-    R = rotation_about(vector, angle) if vector.any() else np.eye(3)
+    R = rotation_about(vector, angle) if np.linalg.norm(vector) > 1e-12 else np.eye(3)
     np.testing.assert_allclose(camera.R.T, R, atol=1e-9)
     np.testing.assert_allclose(camera.centre, centre, atol=1e-9)
 
@@ -272,3 +275,21 @@ def test_a_bad_toolbox_file_is_named_with_its_variable(toolbox, tmp_path, change
 def test_two_pictures_of_one_number_are_refused(toolbox, tmp_path):
     write_pictures(toolbox, ["copy1"])
     refused("copy1.png: has the same number as Image1.png", "bouguet", toolbox, tmp_path / "out")
+
+
+def test_outlines_beside_the_pictures_are_their_silhouettes(toolbox, tmp_path):
+    """To the last digit, and as a mask where one is needed."""
+    outline = np.array([(10.25, 5.5), (30.125, 6.75), (28.0, 24.0625), (12.0, 20.0)])
+    hole = np.array([(18.0, 10.0), (22.0, 10.0), (20.0, 14.0)])
+    for number in (1, 3):
+        (toolbox / f"Image{number}.txt").write_bytes(contours_text([outline, hole + number]))
+    import_capture("bouguet", toolbox, tmp_path / "out")
+    views = load_scan(tmp_path / "out", {"conservative": False}).views
+    for number, view in zip((1, 3), views, strict=True):
+        np.testing.assert_array_equal(view.contours[0], outline)
+        np.testing.assert_array_equal(view.contours[1], hole + number)
+        np.testing.assert_array_equal(view.mask, centres_within([outline, hole + number], SIZE))
+    chosen = {"silhouette": "chroma", "backdrop": "#ff0000"}  # black is too dark to be a backdrop: all is the object
+    assert all(view.contours is None and view.mask.all() for view in load_scan(tmp_path / "out", chosen).views)
+    (toolbox / "Image3.txt").write_text("1 2\n3\n")
+    refused("Image3.txt: line 2: must be the two numbers x y", "bouguet", toolbox, tmp_path / "out")
