@@ -123,10 +123,11 @@ def test_files_by_other_hands(tmp_path):
     np.testing.assert_allclose(camera.forward, (0, 1, 0), atol=1e-12)
 
 
-def test_masks_go_along(tmp_path):
-    turning(tmp_path / "set", masks=True)
-    export_capture("transforms", tmp_path / "set", tmp_path / "out")
-    back = import_capture("transforms", tmp_path / "out", tmp_path / "back")
+@pytest.mark.parametrize("name", EXPORTERS)
+def test_masks_go_along(tmp_path, name):
+    turning(tmp_path / "set", masks=True, alike=name == "tum")
+    export_capture(name, tmp_path / "set", tmp_path / "out")
+    back = import_capture(name, tmp_path / "out" / SOURCE[name], tmp_path / "back", {} if name == "transforms" else {"masks": "masks"})
     for frame in back.frames:
         assert (tmp_path / "back" / frame.mask).read_bytes() == (tmp_path / "set/given" / f"{frame.id}.png").read_bytes()
 

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ...captures.exporters import EXPORTERS, export_capture
-from ...captures.importers import IMPORTERS, import_capture
+from ...captures.importers import COMMON_OPTIONS, IMPORTERS, import_capture
 from ...captures.scan import load_scan
 from ...captures.store import read_capture
 from ...errors import ScanstageError
@@ -25,6 +25,8 @@ from ..jobs import Job, idle, in_thread
 from ..masks import show_masks, show_shadows
 from ..properties import values_of
 from .requirements import capture_folder, has_captures, has_stage
+
+_COMMON = {option.name: option for option in COMMON_OPTIONS}
 
 
 class SCANSTAGE_OT_capture(Job, bpy.types.Operator):
@@ -65,7 +67,9 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
     bl_options = {'REGISTER'}
 
     format: EnumProperty(name="Format", items=[(name, entry.label, entry.description) for name, entry in IMPORTERS.items()])
-    filter_glob: StringProperty(default="*.xml;*.yml;*.yaml;*.json;*.txt", options={'HIDDEN'})
+    filter_glob: StringProperty(default="*.xml;*.yml;*.yaml;*.json;*.txt;*.m", options={'HIDDEN'})
+    masks: StringProperty(name="Masks", description=_COMMON["masks"].description)
+    undistort: BoolProperty(name="Undistort", description=_COMMON["undistort"].description)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -79,7 +83,8 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         settings = context.scene.scanstage
         folder = capture_folder(context.scene)
-        yield from in_thread(import_capture, self.format, Path(self.filepath), folder)
+        options = {"masks": self.masks, "undistort": self.undistort}
+        yield from in_thread(import_capture, self.format, Path(self.filepath), folder, options)
         note_capture(settings, folder)
 
 
