@@ -2,6 +2,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every difference between Blender 4.5 and 5.x that the add-on meets, found by feature and not by version number."""
 
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
 import bpy
 
 
@@ -32,6 +37,24 @@ def optional_settings(scene: bpy.types.Scene) -> dict[str, object]:
         # 5.x can move the only sample away from the pixel's centre, where K [R | t] says it is.
         settings["cycles.use_pixel_jitter"] = False
     return settings
+
+
+def openvdb() -> ModuleType | None:
+    """Return the module of Blender's OpenVDB, or None in a build without.
+
+    Blender as a Python module brings it in a folder of its own, where Python does not look.
+    """
+    if "openvdb" not in sys.modules:
+        found = importlib.util.find_spec("openvdb")
+        if found is None:
+            home = Path(bpy.utils.resource_path('LOCAL'), "python")
+            files = [*home.glob("lib/python3*/site-packages/openvdb*"), *home.glob("Lib/site-packages/openvdb*")]
+            found = importlib.util.spec_from_file_location("openvdb", files[0]) if files else None
+        if found is None:
+            return None
+        sys.modules["openvdb"] = importlib.util.module_from_spec(found)
+        found.loader.exec_module(sys.modules["openvdb"])
+    return sys.modules["openvdb"]
 
 
 _MEDIA_TYPES = {"OPEN_EXR_MULTILAYER": "MULTI_LAYER_IMAGE", "FFMPEG": "VIDEO"}

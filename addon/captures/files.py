@@ -54,7 +54,7 @@ def read_bytes(path: Path, most: int, name: str | None = None) -> bytes:
     return data
 
 
-def inside(folder: Path, relative: str, place: str) -> Path:
+def inside(folder: Path, relative: str, place: str, *, whole: str = "capture set") -> Path:
     """Return the path of a file of the set, after following links.
 
     Parameters
@@ -64,6 +64,8 @@ def inside(folder: Path, relative: str, place: str) -> Path:
         Checked by `schema.relative_path`.
     place : str
         File and field that give the path, for the error message: ``capture.json: frames[3].image``.
+    whole : str
+        What the error message calls the folder.
 
     Raises
     ------
@@ -74,7 +76,7 @@ def inside(folder: Path, relative: str, place: str) -> Path:
     try:
         real = path.resolve()
     except (OSError, RuntimeError):  # a link that leads to itself
-        raise ScanstageError(f"{place}: {relative} is a link that leads nowhere; copy the file into the set") from None
+        raise ScanstageError(f"{place}: {relative} is a link that leads nowhere; copy the file itself there") from None
     if not real.is_relative_to(folder.resolve()):
-        raise ScanstageError(f"{place}: {relative} is a link out of the capture set; copy the file into the set")
+        raise ScanstageError(f"{place}: {relative} is a link out of the {whole}; copy the file itself into it")
     return path

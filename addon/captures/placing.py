@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from ..errors import ScanstageError
@@ -34,7 +35,7 @@ def check_place(source: Path, out: Path) -> None:
 
 
 def put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, progress: Progress, *,
-                 extra: Mapping[str, bytes] | None = None) -> None:
+                 extra: Mapping[str, bytes] | None = None, made: Mapping[str, Callable[[Path], None]] | None = None) -> None:
     """Write a set beside ``out`` and then give it that name; a set that is there is replaced.
 
     Parameters
@@ -46,6 +47,8 @@ def put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, prog
     progress : Progress
     extra : mapping of str to bytes, optional
         Files to be written into the set, by their paths in it.
+    made : mapping of str to callable, optional
+        Those that are too large to be held until then: what writes each to the path that it is given.
 
     Raises
     ------
@@ -53,12 +56,13 @@ def put_in_place(capture: Capture, pictures: Mapping[str, Path], out: Path, prog
         The disk refuses.
     """
     with making(out) as staged:
-        for step, (relative, picture) in enumerate(pictures.items()):
-            progress(step / len(pictures), f"Copying {picture.name}")
+        makers = {**{relative: partial(shutil.copyfile, picture) for relative, picture in pictures.items()}, **(made or {})}
+        for step, (relative, make) in enumerate(makers.items()):
+            progress(step / len(makers), f"Writing {relative}")
             target = staged / relative
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(picture, target)
+            make(target)
         for relative, data in (extra or {}).items():
             write_bytes(staged / relative, data)
         write_capture(staged, capture)
-    progress(1.0, f"{len(pictures)} pictures in place")
+    progress(1.0, f"{len(makers)} pictures in place")

@@ -19,10 +19,12 @@ from ..errors import ScanstageError
 from ..options import Value, resolve
 from ..progress import Progress, silent
 from ..reconstruction.calibration.sightings import BoardView
+from ..reconstruction.contours import centres_within
 from ..reconstruction.geometry import MAX_SKEW_OF_ROTATION
 from ..reconstruction.scan import LitPicture, ProjectedPicture, Scan, View
 from ..reconstruction.shadows import MOST_LIGHTS, SHADOW_OPTIONS, detect_shadows
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS, extract
+from .contour_file import read_contours
 from .fields import Field
 from .files import inside
 from .pictures import read_mask, read_picture, write_levels
@@ -179,6 +181,18 @@ def _projected_view(capture: Capture, pictures: tuple[ProjectedPicture, ...]) ->
     return View(frame.id, capture.camera_of(frame), None, own.read_image, projected=pictures)
 
 
+def views_of_object(capture: Capture) -> list[Frame]:
+    """Return of each camera and pose the frame with the most light, none of a calibration board.
+
+    Where every frame is under a pattern, it is the first of each camera and pose.
+    """
+    of_object = [frame for frame in capture.frames if frame.board_pose is None]
+    plain = [frame for frame in of_object if frame.pattern is None]
+    if plain:
+        return [group[0] for group in lighting_groups(plain)]
+    return list({_place(frame): frame for frame in reversed(of_object)}.values())[::-1]
+
+
 def lighting_groups(frames: Iterable[Frame]) -> list[tuple[Frame, ...]]:
     """Return the frames that differ by their lights only, as one group each, in the order of their first frames.
 
@@ -197,14 +211,18 @@ def lighting_groups(frames: Iterable[Frame]) -> list[tuple[Frame, ...]]:
 def _view(folder: Path, capture: Capture, group: tuple[Frame, ...], options: Mapping[str, Value] | None,
           projected: tuple[ProjectedPicture, ...]) -> View:
     frame, camera = group[0], capture.camera_of(group[0])
-    mask = None if options is None else _checked_silhouette(folder, capture, frame, options)
+    contours = None
+    if options is not None and frame.contours is not None and options["silhouette"] in ("auto", "mask"):
+        contours = read_contours(folder / frame.contours, frame.contours)
+    mask = None if options is None else _checked_silhouette(folder, capture, frame, options, contours)
     return View(frame.id, camera, mask, _reader(folder, capture, frame), tuple(
         LitPicture(lit.id, lit.lights[0], capture.lights[lit.lights[0]].moved(lit.object_to_world), _reader(folder, capture, lit))
-        for lit in group if len(lit.lights) == 1), projected=projected)
+        for lit in group if len(lit.lights) == 1), contours=contours, projected=projected)
 
 
-def _checked_silhouette(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value]) -> np.ndarray:
-    mask = _silhouette(folder, capture, frame, options)
+def _checked_silhouette(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value],
+                        contours: tuple[np.ndarray, ...] | None) -> np.ndarray:
+    mask = _silhouette(folder, capture, frame, options, contours)
     if not mask.any():
         raise ScanstageError(f"{frame.image}: the silhouette of frame {frame.id} is empty; check the picture, or take "
                              "the silhouette in another way with the silhouette options")
@@ -212,12 +230,15 @@ def _checked_silhouette(folder: Path, capture: Capture, frame: Frame, options: M
     return mask
 
 
-def _silhouette(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value]) -> np.ndarray:
+def _silhouette(folder: Path, capture: Capture, frame: Frame, options: Mapping[str, Value],
+                contours: tuple[np.ndarray, ...] | None) -> np.ndarray:
     size = capture.cameras[frame.camera].size
     rgb, alpha = read_picture(folder / frame.image, capture.encoding, size=size, name=frame.image)
     chosen = options["silhouette"]
     given = plate = None
-    if frame.mask is not None and chosen in ("auto", "mask"):
+    if contours is not None:
+        given = centres_within(contours, size)
+    elif frame.mask is not None and chosen in ("auto", "mask"):
         given = read_mask(folder / frame.mask, size=size, name=frame.mask)
     if frame.camera in capture.plates and chosen in ("auto", "plate"):
         name = capture.plates[frame.camera]

@@ -63,6 +63,8 @@ class Frame:
         Path inside the set of a silhouette that came with the picture.
     board_pose : str, optional
         Id of the place in the object frame where the calibration board stands; None where the picture is of the object.
+    contours : str, optional
+        Path inside the set of the silhouette as outlines (see `contour_file`); they come before a mask.
     """
 
     id: str
@@ -73,6 +75,7 @@ class Frame:
     pattern: str | None = None
     mask: str | None = None
     board_pose: str | None = None
+    contours: str | None = None
 
 
 @dataclass(frozen=True)
@@ -167,7 +170,7 @@ def capture_to_dict(capture: Capture) -> dict[str, object]:
         "frames": [{"id": frame.id, "image": frame.image, "camera": frame.camera,
                     "object_to_world": np.asarray(frame.object_to_world, float).tolist(),
                     "lights": list(frame.lights), "pattern": frame.pattern, "mask": frame.mask,
-                    "board_pose": frame.board_pose}
+                    "board_pose": frame.board_pose, "contours": frame.contours}
                    for frame in capture.frames],
         "patterns": {id: dict(pattern) for id, pattern in capture.patterns.items()},
         "encoding": capture.encoding,
@@ -305,7 +308,7 @@ def _pencils(item: Field, cameras: Mapping, lights: Mapping, frames: tuple[Frame
 def _frames(item: Field, cameras: Mapping, lights: Mapping, patterns: Mapping, board: Board | None) -> tuple[Frame, ...]:
     frames, seen = [], {}
     for index, entry in enumerate(item.items()):
-        fields = entry.object(("id", "image", "camera"), ("object_to_world", "lights", "pattern", "mask", "board_pose"))
+        fields = entry.object(("id", "image", "camera"), ("object_to_world", "lights", "pattern", "mask", "board_pose", "contours"))
         id = fields["id"].text()
         if not FRAME_ID.fullmatch(id):
             raise fields["id"].error(f"{id[:40]!r} cannot be a file's name; use letters, digits and ._-")
@@ -320,7 +323,8 @@ def _frames(item: Field, cameras: Mapping, lights: Mapping, patterns: Mapping, b
             tuple(light.choice(lights, "a light of this set") for light in fields["lights"].items()),
             fields["pattern"].choice(patterns, "a pattern of this set") if fields["pattern"].given else None,
             relative_path(fields["mask"]) if fields["mask"].given else None,
-            board_pose.text() if board_pose.given else None))
+            board_pose.text() if board_pose.given else None,
+            relative_path(fields["contours"]) if fields["contours"].given else None))
     if not frames:
         raise item.error("is empty; capture at least one frame")
     return tuple(frames)

@@ -58,6 +58,8 @@ def files_of(capture: Capture) -> Iterator[tuple[str, str, str]]:
             yield f"{FILE_NAME}: frames[{index}].image", frame.image, "run capture again to render it"
         if frame.mask is not None:
             yield f"{FILE_NAME}: frames[{index}].mask", frame.mask, "put it back, or set the mask to null"
+        if frame.contours is not None:
+            yield f"{FILE_NAME}: frames[{index}].contours", frame.contours, "put it back, or set the contours to null"
     for camera, relative in capture.plates.items():
         yield f"{FILE_NAME}: plate.{camera}", relative, "put it back, or set the plate to null"
     if capture.truth_mesh is not None:

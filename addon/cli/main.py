@@ -82,9 +82,19 @@ def _print(lines: Iterable[str]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser whose help may end with what is found out only when it is asked for."""
+
+    def format_help(self) -> str:
+        if callable(self.epilog):
+            with muted_stdout():  # it may import Blender
+                self.epilog = self.epilog()
+        return super().format_help()
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of all verbs."""
-    parser = argparse.ArgumentParser(prog="scanstage", description="Design, simulate and evaluate 3-D scanning rigs.")
+    parser = _Parser(prog="scanstage", description="Design, simulate and evaluate 3-D scanning rigs.")
     verbs = parser.add_subparsers(metavar="VERB", required=True)
     for name, verb in VERBS.items():
         entry = verbs.add_parser(name, help=verb.help, description=verb.help + ".", epilog=verb.epilog,

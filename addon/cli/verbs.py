@@ -37,7 +37,7 @@ DEFAULT_PROJECTOR = (1280, 720)
 
 @dataclass(frozen=True)
 class Verb:
-    """One verb: what it adds to its parser, and what it does.
+    """One verb: what it adds to its parser, what it does, and what its help ends with (a callable where that takes Blender).
 
     ``run(call, progress)`` returns the report; its ``lines`` go to stdout.
     """
@@ -45,7 +45,7 @@ class Verb:
     help: str
     arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace, Progress], dict]
-    epilog: str = ""
+    epilog: str | Callable[[], str] = ""
 
 
 def _demo_arguments(parser: argparse.ArgumentParser) -> None:
@@ -199,8 +199,16 @@ def _evaluate(call: argparse.Namespace, progress: Progress) -> dict:
 
 
 def _mesh_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("result", metavar="RESULT", type=Path)
-    parser.add_argument("--out", metavar="FILE", required=True, type=Path, help=".blend .ply .obj .stl .glb .vox, by ending")
+    parser.add_argument("result", metavar="RESULT", type=Path, help="a result's folder, or a volume as .npz or .vox")
+    parser.add_argument("--out", metavar="FILE", required=True, type=Path, help="the ending chooses the format")
+
+
+def _endings() -> str:
+    """Return the files that `mesh` writes, with its options, for the end of the help."""
+    from ..results.export import EXPORT_OPTIONS, FORMATS
+
+    return "\n".join(["files, by their endings:", *(f"  {ending}: {entry.description}" for ending, entry in FORMATS.items()), "options:",
+                      *option_lines(EXPORT_OPTIONS)])
 
 
 def _mesh(call: argparse.Namespace, progress: Progress) -> dict:
@@ -208,6 +216,34 @@ def _mesh(call: argparse.Namespace, progress: Progress) -> dict:
 
     faces = export_result(call.result, call.out, dict(call.settings), progress)
     return {"file": str(call.out), "faces": faces, "lines": [f"{call.out}: {faces} faces"]}
+
+
+def _view_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("capture", metavar="CAPTURE", type=Path)
+    parser.add_argument("--out", metavar="FILE.blend", required=True, type=Path)
+    parser.add_argument("--result", metavar="RESULT", type=Path, help="a result's folder, whose mesh is put among the cameras")
+
+
+def _view(call: argparse.Namespace, progress: Progress) -> dict:
+    import bpy
+
+    from ..results.blend import frame_scene, new_file, save_blend
+    from ..results.cameras import show_cameras
+    from ..results.folder import read_result
+    from ..results.present import show_result
+
+    _no_settings(call, "view")
+    result = None if call.result is None else read_result(call.result)
+    new_file()
+    progress(0.3, "Placing the cameras")
+    warnings = show_cameras(bpy.context.scene, call.capture)
+    if result is not None:
+        show_result(bpy.context.scene, result)
+    frame_scene(bpy.context.scene)
+    save_blend(call.out)
+    count = sum(member.type == 'CAMERA' for member in bpy.context.scene.objects)
+    return {"file": str(call.out), "cameras": count, "warnings": warnings,
+            "lines": [f"{call.out}: {count} camera(s), each with its picture", *(f"  warning: {warning}" for warning in warnings)]}
 
 
 def _methods(call: argparse.Namespace, progress: Progress) -> dict:
@@ -264,7 +300,8 @@ VERBS = {
     "patterns": Verb("write a set of patterns as pictures for a real projector", _patterns_arguments, _patterns, _pattern_sets()),
     "reconstruct": Verb("run one method on a capture set", _reconstruct_arguments, _reconstruct),
     "evaluate": Verb("compare a result with the truth", _evaluate_arguments, _evaluate),
-    "mesh": Verb("write a result's voxel mesh as a file for other programs", _mesh_arguments, _mesh),
+    "mesh": Verb("write a result's mesh, voxels or points as a file for other programs", _mesh_arguments, _mesh, _endings),
+    "view": Verb("put a capture set's cameras into a .blend, each with its picture behind it", _view_arguments, _view),
     "methods": Verb("list the methods with their options, units and defaults", _no_arguments, _methods),
     "presets": Verb("list the rigs with their options, and the built-in objects", _no_arguments, _presets),
 }

@@ -133,3 +133,18 @@ def fill(loops: Sequence[np.ndarray], size: tuple[int, int]) -> np.ndarray:
     mask = np.zeros(size[::-1], np.uint8)
     scaled = [np.rint(loop * (1 << _SUBPIXEL_BITS)).astype(np.int32) for loop in loops]
     return cv2.fillPoly(mask, scaled, 1, cv2.LINE_8, _SUBPIXEL_BITS).astype(bool)
+
+
+def centres_within(loops: Sequence[np.ndarray], size: tuple[int, int]) -> np.ndarray:
+    """Return the (height, width) bool mask of the pixels with their centres inside an odd number of loops, for a picture of that size."""
+    width, height = size
+    a, b = np.concatenate(loops), np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
+    a, b = np.where(a[:, 1:] <= b[:, 1:], a, b), np.where(a[:, 1:] <= b[:, 1:], b, a)  # downward
+    first, last = (np.clip(np.ceil(y), 0, height).astype(np.int64) for y in (a[:, 1], b[:, 1]))
+    borders = np.zeros((height, width + 1), np.int32)
+    for side, offset in expand(last - first, _PAIRS_AT_ONCE):
+        row = first[side] + offset
+        share = (row - a[side, 1]) / (b[side, 1] - a[side, 1])
+        column = np.ceil(a[side, 0] + share * (b[side, 0] - a[side, 0]))
+        np.add.at(borders, (row, np.clip(column, 0, width).astype(np.int64)), 1)
+    return (np.cumsum(borders[:, :width], axis=1) & 1).astype(bool)

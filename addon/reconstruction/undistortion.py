@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Silhouettes of a real lens as an ideal pinhole would see them.
+"""Silhouettes and pictures of a real lens as an ideal pinhole would see them.
 
 Volumetric methods project boxes and want their pictures straight. An ideal pixel's place in the real picture is given
-by the forward model, which is exact; the model is never inverted but for the size of the canvas.
+by the forward model, which is exact; the model is inverted only for the size of the canvas, and for outlines.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from .geometry import Camera, distort
 MAX_GROWTH = 2.0
 _ROWS_AT_ONCE = 128
 _DIRECTIONS, _RADII = 180, 1024
+_SAME_PIXEL = 1e-2  # px; a lens is inverted where going back through it returns this near
+_ITERATIONS = cv2.TermCriteria_COUNT + cv2.TermCriteria_EPS, 50, 1e-10
 
 
 def undistorted_view(mask: np.ndarray, camera: Camera, *, conservative: bool,
@@ -184,3 +186,60 @@ def curvature_margin(camera: Camera, radius: float) -> float:
     second = 6 * k1 * radius + 20 * k2 * radius ** 3 + 42 * k3 * radius ** 5 + 6 * (p1 + p2)
     linear = camera.K[:2, :2]
     return float(second * np.linalg.norm(linear, 2) * np.linalg.norm(np.linalg.inv(linear), 2) ** 2 / 4) + 1e-6
+
+
+def undistort_pixels(pixels: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ideal positions (n, 2) of real pixels (n, 2), and whether the lens leads back from each to where it began."""
+    linear, offset = camera.K[:2, :2], camera.K[:2, 2]
+    real = (pixels - offset) @ np.linalg.inv(linear).T
+    rays = cv2.undistortPointsIter(real[:, None], np.eye(3), camera.distortion, None, None, _ITERATIONS)[:, 0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        missed = np.linalg.norm((distort(rays, camera.distortion) - real) @ linear.T, axis=1)
+        inverted = (missed < _SAME_PIXEL) & (np.linalg.norm(rays, axis=1) <= injective_radius(camera))
+    return np.where(inverted[:, None], rays, 0) @ linear.T + offset, inverted
+
+
+def undistorted_camera(camera: Camera) -> Camera:
+    """Return the camera without distortion whose picture shows as much as it can of the real one, and nothing beyond it.
+
+    What is cropped at the border is as unknown as what lies beyond the real picture: no method takes it for background.
+
+    Raises
+    ------
+    ValueError
+        The distortion cannot be inverted at the picture's border, or leaves nothing of the picture.
+    """
+    width, height = camera.size
+    x, y = np.arange(width, dtype=float), np.arange(height, dtype=float)
+    sides = [np.column_stack(np.broadcast_arrays(*side)) for side in ((0.0, y), (width - 1.0, y), (x, 0.0), (x, height - 1.0))]
+    found = [undistort_pixels(side, camera) for side in sides]
+    if not all(inverted.all() for _, inverted in found):
+        raise ValueError("the lens distortion cannot be inverted at the picture's border")
+    (left, _), (right, _), (top, _), (bottom, _) = found
+    first = np.ceil((left[:, 0].max(), top[:, 1].max())).astype(int)
+    last = np.floor((right[:, 0].min(), bottom[:, 1].min())).astype(int)
+    if (last < first).any():
+        raise ValueError("the lens distortion leaves no rectangle of the picture")
+    return _window(camera, *first, *(last - first + 1))
+
+
+def resample(picture: np.ndarray, camera: Camera, ideal: Camera) -> np.ndarray:
+    """Return a picture of ``camera`` as ``ideal``, the camera of `undistorted_camera`, sees it.
+
+    Parameters
+    ----------
+    picture : (h, w) or (h, w, c) array
+        Float is interpolated; of bool the pixel decides that is nearest.
+    """
+    inverse = np.linalg.inv(ideal.K)
+    is_mask = picture.dtype == bool
+    levels = picture.astype(np.uint8) if is_mask else picture
+    parts = []
+    for top in range(0, ideal.size[1], _ROWS_AT_ONCE):
+        rows = np.arange(top, min(top + _ROWS_AT_ONCE, ideal.size[1]))
+        pixels = np.stack(np.meshgrid(np.arange(ideal.size[0]), rows), axis=-1)
+        rays = pixels @ inverse[:2, :2].T + inverse[:2, 2]
+        real = distort(rays, camera.distortion) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        parts.append(cv2.remap(levels, real.astype(np.float32), None, cv2.INTER_NEAREST if is_mask else cv2.INTER_LINEAR,
+                               borderMode=cv2.BORDER_REPLICATE))
+    return np.concatenate(parts).astype(picture.dtype)

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A result as a file for other programs, the format chosen by the file's ending.
 
-Blender's own exporters write everything but .vox. They work on a scene of their own that is gone afterwards: the
-user's scene, selection and data-blocks stay as they are. Every format keeps its own convention for axes (.obj and
-.glb are y-up, the others z-up); what Blender imports again stands where it stood. .stl holds no colours, and .vox no
-lengths.
+Blender's own exporters write meshes. They work on a scene of their own that is gone afterwards: the user's scene,
+selection and data-blocks stay as they are. Every format keeps its own convention for axes (.obj and .glb are y-up, the
+others z-up); what Blender imports again stands where it stood. .stl holds no colours, and .vox and .txt no lengths.
+
+`FORMATS` is the one table of endings, which the command line, the panels and the manual read.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,12 +25,19 @@ import numpy as np
 
 from ..errors import ScanstageError
 from ..files import NotWritten, check_room
-from ..options import Option, Value, resolve
+from ..options import Option, Unit, Value, resolve
 from ..progress import Progress, silent
+from ..reconstruction.volumetric.coloring import SurfaceColors
+from ..reconstruction.volumetric.volume import SparseVolume
 from .blend import reason_of
-from .folder import read_result
+from .folder import Result, volume_arrays
+from .goxel import write_goxel
 from .materials import remove_if_unused
+from .npz import write_volume
 from .objects import add_polygon_mesh, add_voxel_mesh
+from .point_file import surface_points, write_points
+from .vdb import write_vdb
+from .volume_files import read_volume
 from .vox import write_vox
 
 if TYPE_CHECKING:
@@ -39,18 +47,23 @@ if TYPE_CHECKING:
 
 
 EXPORT_OPTIONS = (
-    Option("smooth", False, "Take off the voxels' steps; has no effect on .vox, and is a live modifier in .blend"),
+    Option("smooth", False, "Take off the voxels' steps; has no effect on files of voxels, and is a live modifier in .blend"),
+    Option("points", False, "Write points instead of faces, to .ply only: those that were measured or, failing these, the centres of the "
+           "surface's voxels"),
+    Option("voxel_size", 1.0, "Edge of a voxel that is read from .vox, which knows no length", unit=Unit.LENGTH, minimum=1e-9, maximum=1e9),
 )
 
 _CLAY = (0.6, 0.58, 0.55)
 
 
-def export_result(folder, path, options: Mapping[str, Value] | None = None, progress: Progress = silent) -> int:
-    """Write the mesh of a result folder, as `export_mesh` does.
+def export_result(source, path, options: Mapping[str, Value] | None = None, progress: Progress = silent) -> int:
+    """Write the mesh, the voxels or the points of a result, as the file's ending says.
 
     Parameters
     ----------
-    folder, path : path-like
+    source : path-like
+        A result folder, or a volume: see `volume_files.read_volume`.
+    path : path-like
     options : mapping, optional
         See `EXPORT_OPTIONS`.
     progress : callable
@@ -58,26 +71,33 @@ def export_result(folder, path, options: Mapping[str, Value] | None = None, prog
     Returns
     -------
     int
-        The number of the surface's faces.
+        The number of the surface's faces, or of the points.
 
     Raises
     ------
     ScanstageError
-        An option is unknown, the result cannot be read, or as `export_mesh`.
+        An option is unknown or does not go with the ending, the source cannot be read, or as `export_mesh`.
     """
-    options = resolve(EXPORT_OPTIONS, options or {}, "mesh")
-    _check_ending(Path(path))
+    values, path = resolve(EXPORT_OPTIONS, options or {}, "mesh"), Path(path)
+    ending = _check_ending(path)
+    if values["points"] and ending != ".ply":
+        raise ScanstageError(f"{path}: points are written as .ply only; change the file's ending, or leave points out")
     progress(0.0, "Reading the result")
-    result = read_result(folder)
-    progress(0.5, f"Writing {Path(path).name}")
-    export_mesh(result.surface, result.colors and result.colors.rgb, path, grid=result.volume.grid,
-                method=str(result.report.get("method", "")), mesh=result.mesh, **options)
+    result = read_volume(source, voxel_size=values["voxel_size"])
+    progress(0.5, f"Writing {path.name}")
+    if values["points"]:
+        count = _write_cloud(path, result)
+    else:
+        export_mesh(result.surface, result.colors and result.colors.rgb, path, grid=result.volume.grid, volume=result.volume,
+                    method=str(result.report.get("method", "")), mesh=result.mesh, smooth=values["smooth"])
+        own = result.mesh is not None and FORMATS[ending].of_scene is not None
+        count = len(result.mesh.triangles if own else result.surface.quads)
     progress(1.0, "Done")
-    return len(result.surface.quads if result.mesh is None or Path(path).suffix.lower() == ".vox" else result.mesh.triangles)
+    return count
 
 
 def export_mesh(surface: Surface, rgb: np.ndarray | None, path, *, grid: VoxelGrid, frame=None, method: str = "",
-                smooth: bool = False, mesh: TriangleMesh | None = None) -> None:
+                smooth: bool = False, mesh: TriangleMesh | None = None, volume: SparseVolume | None = None) -> None:
     """Write a coloured voxel mesh, whole or not at all. The object in the file has the file's name.
 
     Parameters
@@ -87,17 +107,19 @@ def export_mesh(surface: Surface, rgb: np.ndarray | None, path, *, grid: VoxelGr
     rgb : (s, 3) array or None
         Linear colour of every surface voxel; None for a method that finds no colours.
     path : path-like
-        Ends in .blend, .ply, .obj (with its .mtl beside it), .stl, .glb or .vox. Replaced if it exists.
+        Its ending is one of `FORMATS` (an .obj has its .mtl beside it). Replaced if it exists.
     grid : VoxelGrid
         Of the volume the surface was taken from.
     frame : (4, 4) array, optional
-        Object frame to the file's world. Default: the identity. A .vox is always in the grid's axes.
+        Object frame to the file's world. Default: the identity. Voxels are always in the grid's axes.
     method : str
         As for `add_voxel_mesh`; kept in a .blend.
     smooth : bool
         As for `add_voxel_mesh`. In .ply and .obj the colours of neighbouring voxels then run into each other.
     mesh : TriangleMesh, optional
-        The surface that the method found itself: written in place of the voxels', as it is, but to .vox.
+        The surface that the method found itself: written in place of the voxels', as it is, but to files of voxels.
+    volume : SparseVolume, optional
+        For formats that hold what is inside; without it that is hollow.
 
     Raises
     ------
@@ -108,8 +130,8 @@ def export_mesh(surface: Surface, rgb: np.ndarray | None, path, *, grid: VoxelGr
     ending = _check_ending(path)
     if not len(surface.quads):
         raise ScanstageError(f"{path}: the result has no voxels to write; check its bounds and the silhouettes")
-    if ending == ".vox":
-        write_vox(path, surface.voxels, np.broadcast_to(_CLAY, surface.voxels.shape) if rgb is None else rgb)
+    if FORMATS[ending].of_scene is None:
+        FORMATS[ending].of_voxels(path, _Voxels(surface, rgb, volume or SparseVolume.from_voxels(grid, surface.voxels)))
         return
     if ending in _COLORS_ON_VERTICES and rgb is not None and not smooth:
         surface = split_voxels(surface)
@@ -120,14 +142,35 @@ def export_mesh(surface: Surface, rgb: np.ndarray | None, path, *, grid: VoxelGr
         else:
             add_polygon_mesh(path.stem, mesh.vertices, mesh.triangles, collection=scene.collection, frame=frame, method=method,
                              replace=False)
-        _write_whole(path, lambda temporary: _WRITERS[ending](scene, str(temporary)))
+        _write_whole(path, lambda temporary: FORMATS[ending].of_scene(scene, str(temporary)))
+
+
+@dataclass(frozen=True)
+class _Voxels:
+    """What a file of voxels is written from."""
+
+    surface: Surface
+    rgb: np.ndarray | None
+    volume: SparseVolume
+
+    @property
+    def shades(self) -> np.ndarray:
+        """The (s, 3) linear colours of the surface's voxels, clay where the method finds none."""
+        return np.broadcast_to(_CLAY, self.surface.voxels.shape) if self.rgb is None else self.rgb
+
+
+def _write_cloud(path: Path, result: Result) -> int:
+    cloud = surface_points(result.surface, result.volume.grid, result.colors and result.colors.rgb) if result.points is None \
+        else result.points
+    write_points(path, cloud)
+    return len(cloud)
 
 
 def _check_ending(path: Path) -> str:
     ending = path.suffix.lower()
-    if ending not in ENDINGS:
+    if ending not in FORMATS:
         raise ScanstageError(f"{path}: cannot be written as {ending or 'a file without ending'}; "
-                             f"the ending must be one of {' '.join(ENDINGS)}")
+                             f"the ending must be one of {' '.join(FORMATS)}")
     return ending
 
 
@@ -204,6 +247,45 @@ def _in(scene: bpy.types.Scene):
     return bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0])
 
 
-_WRITERS = {".blend": _write_blend, ".ply": _write_ply, ".obj": _write_obj, ".stl": _write_stl, ".glb": _write_glb}
+def _write_npz(path: Path, voxels: _Voxels) -> None:
+    colors = None if voxels.rgb is None else SurfaceColors(voxels.rgb, np.zeros(len(voxels.rgb), np.uint16))
+    write_volume(path, voxels.volume, volume_arrays(voxels.surface, colors))
+
+
+def _write_vdb(path: Path, voxels: _Voxels) -> None:
+    _write_whole(path, lambda temporary: write_vdb(temporary, voxels.volume, voxels.surface, voxels.rgb))
+
+
+@dataclass(frozen=True)
+class Format:
+    """One ending. Exactly one of the two functions is there.
+
+    Parameters
+    ----------
+    description : str
+        What the file holds, without a full stop.
+    of_scene : callable, optional
+        ``of_scene(scene, filepath)`` writes the meshes of a scene.
+    of_voxels : callable, optional
+        ``of_voxels(path, voxels)`` writes voxels, whole or not at all.
+    """
+
+    description: str
+    of_scene: Callable[[bpy.types.Scene, str], None] | None = None
+    of_voxels: Callable[[Path, _Voxels], None] | None = None
+
+
+FORMATS = {
+    ".blend": Format("Blender's own, with the mesh as an object", _write_blend),
+    ".ply": Format("A mesh with colours, or points", _write_ply),
+    ".obj": Format("A mesh with colours, y up", _write_obj),
+    ".stl": Format("A mesh without colours", _write_stl),
+    ".glb": Format("A mesh with colours, y up, for the web and game engines", _write_glb),
+    ".vox": Format("The voxels of the surface for MagicaVoxel, of any size, in 255 colours", of_voxels=lambda path, voxels: write_vox(
+        path, voxels.surface.voxels, voxels.shades)),
+    ".npz": Format("The volume as numpy arrays, as in a result's folder", of_voxels=_write_npz),
+    ".txt": Format("The voxels of the surface for Goxel, a line each", of_voxels=lambda path, voxels: write_goxel(
+        path, voxels.surface.voxels, voxels.shades)),
+    ".vdb": Format("The volume for OpenVDB, as density and color", of_voxels=_write_vdb),
+}
 _COLORS_ON_VERTICES = (".ply", ".obj")  # colours of shared vertices would be blurred between voxels
-ENDINGS = (*_WRITERS, ".vox")

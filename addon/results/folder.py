@@ -28,6 +28,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ..captures.files import inside
 from ..errors import ScanstageError
 from ..files import making, replacing
 from ..reconstruction.color import linear_to_srgb
@@ -39,7 +40,7 @@ from ..reconstruction.volumetric.coloring import SurfaceColors
 from ..reconstruction.volumetric.surface import Surface, extract_surface
 from ..reconstruction.volumetric.volume import SparseVolume
 from .layers import layer_arrays, layer_fields, read_layers
-from .npz import AGAIN, check_size, open_volume, write_volume
+from .npz import AGAIN, VolumeFile, check_size, open_volume, write_volume
 from .ply import read_ply, write_ply
 from .point_file import read_points, write_points
 
@@ -142,13 +143,8 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
     text = _encode({**report, "format": FORMAT, "version": VERSION, "grid": _grid_fields(volume.grid), "layers": layer_fields(layers),
                     **({} if mesh is None else {"mesh": _TRIANGLES})})
     files = {PREVIEW: _png(preview)} | {f"{PICTURES}/{name}.png": _png(picture) for name, picture in (pictures or {}).items()}
-    arrays = {"surface_voxels": surface.voxels.astype(np.int32), **layer_arrays(layers)}
-    vertex_colors = None
-    if colors is not None:
-        if colors.rgb.shape != (len(surface.voxels), 3) or colors.views.shape != (len(surface.voxels),):
-            raise ValueError(f"colors must have one row for each of the {len(surface.voxels)} surface voxels")
-        arrays |= {"surface_colors": colors.rgb.astype(np.float32), "surface_views": colors.views.astype(np.uint16)}
-        vertex_colors = _vertex_colors(surface, colors.rgb)
+    arrays = {**volume_arrays(surface, colors), **layer_arrays(layers)}
+    vertex_colors = None if colors is None else _vertex_colors(surface, colors.rgb)
     with making(folder) as made:
         write_volume(made / VOLUME, volume, arrays)
         if mesh is None:
@@ -164,6 +160,22 @@ def write_result(folder, *, volume: SparseVolume, surface: Surface, colors: Surf
         _write(made / REPORT, text)
 
 
+def volume_arrays(surface: Surface, colors: SurfaceColors | None) -> dict[str, np.ndarray]:
+    """Return what ``volume.npz`` holds of a surface and its colours, by name.
+
+    Raises
+    ------
+    ValueError
+        The colours do not fit the surface.
+    """
+    arrays = {"surface_voxels": surface.voxels.astype(np.int32)}
+    if colors is not None:
+        if colors.rgb.shape != (len(surface.voxels), 3) or colors.views.shape != (len(surface.voxels),):
+            raise ValueError(f"colors must have one row for each of the {len(surface.voxels)} surface voxels")
+        arrays |= {"surface_colors": colors.rgb.astype(np.float32), "surface_views": colors.views.astype(np.uint16)}
+    return arrays
+
+
 def read_result(folder) -> Result:
     """Read a result folder.
 
@@ -173,6 +185,8 @@ def read_result(folder) -> Result:
         A file is missing, damaged, of an unknown version, or disagrees with another.
     """
     folder = Path(folder)
+    for name in (REPORT, VOLUME, MESH, POINTS):
+        inside(folder, name, str(folder / name), whole="result")
     report = read_report(folder)
     grid = _grid(report, folder / REPORT)
     check_size(grid, folder / REPORT)
@@ -182,13 +196,7 @@ def read_result(folder) -> Result:
             raise ScanstageError(f"{folder / VOLUME}: origin and voxel_size are not those of {REPORT}; {AGAIN}")
         volume = file.volume(grid)
         surface = extract_surface(volume)
-        rows = _rows(file.array("surface_voxels", "<i4", (None, 3)), surface, grid, folder)
-        colors = None
-        if "surface_colors" in file:
-            rgb = file.array("surface_colors", "<f4", (len(rows), 3))[rows]
-            if not np.isfinite(rgb).all():
-                raise ScanstageError(f"{folder / VOLUME}: surface_colors holds a colour that is not finite; {AGAIN}")
-            colors = SurfaceColors(rgb, file.array("surface_views", "<u2", (len(rows),))[rows])
+        colors = colors_from(file, surface, grid, folder / VOLUME, required=True)
         layers = read_layers(file, report.get("layers", {}), grid, folder / REPORT)
     mesh = read_ply(folder / MESH) if report.get("mesh") == _TRIANGLES else None
     points = read_points(folder / POINTS) if (folder / POINTS).exists() else None
@@ -211,7 +219,37 @@ def report_section(folder, name: str, section: dict) -> None:
     _write(folder / REPORT, _encode({**read_report(folder), name: section}))
 
 
-def _rows(voxels: np.ndarray, surface: Surface, grid: VoxelGrid, folder: Path) -> np.ndarray:
+def colors_from(file: VolumeFile, surface: Surface, grid: VoxelGrid, path: Path, *, required: bool = False) -> SurfaceColors | None:
+    """Return the colours in an open volume file, if it has any.
+
+    Parameters
+    ----------
+    file : VolumeFile
+    surface : Surface
+        Of the file's volume.
+    grid : VoxelGrid
+    path : Path
+        The file, for error messages.
+    required : bool
+        Whether the voxels that may have colours must be listed.
+
+    Raises
+    ------
+    ScanstageError
+        An array is missing, or disagrees with the volume.
+    """
+    if not required and "surface_voxels" not in file:
+        return None
+    rows = _rows(file.array("surface_voxels", "<i4", (None, 3), most=grid.count), surface, grid, path)
+    if "surface_colors" not in file:
+        return None
+    rgb = file.array("surface_colors", "<f4", (len(rows), 3))[rows]
+    if not np.isfinite(rgb).all():
+        raise ScanstageError(f"{path}: surface_colors holds a colour that is not finite; {AGAIN}")
+    return SurfaceColors(rgb, file.array("surface_views", "<u2", (len(rows),))[rows])
+
+
+def _rows(voxels: np.ndarray, surface: Surface, grid: VoxelGrid, path: Path) -> np.ndarray:
     """Return for each surface voxel its row in the file, whose order need not be ours."""
     if len(voxels) == len(surface.voxels) and ((voxels >= 0) & (voxels < grid.shape)).all():
         theirs, ours = (np.ravel_multi_index(tuple(table.T), grid.shape) for table in (voxels, surface.voxels))
@@ -219,7 +257,7 @@ def _rows(voxels: np.ndarray, surface: Surface, grid: VoxelGrid, folder: Path) -
         rows[np.argsort(ours)] = by_voxel
         if (theirs[rows] == ours).all():
             return rows
-    raise ScanstageError(f"{folder / VOLUME}: surface_voxels are not the surface of occupancy; {AGAIN}")
+    raise ScanstageError(f"{path}: surface_voxels are not the surface of occupancy; {AGAIN}")
 
 
 def _vertex_colors(surface: Surface, rgb: np.ndarray) -> np.ndarray:

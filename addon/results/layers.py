@@ -51,12 +51,12 @@ def read_layers(file: VolumeFile, fields: object, grid: VoxelGrid, path: Path) -
     """
     layers = {}
     for name, values in _mapping(fields, path, "layers").items():
-        voxels = file.array(f"{name}_voxels", "<i4", (None, 3))
+        voxels = file.array(f"{name}_voxels", "<i4", (None, 3), most=grid.count)
         if not ((voxels >= 0) & (voxels < grid.shape)).all():
             raise ScanstageError(f"{path}: layers.{name} has voxels beyond the grid; {AGAIN}")
         numbers = {}
         for value, dtype in _mapping(values, path, f"layers.{name}").items():
-            if dtype not in _DTYPES:
+            if not isinstance(dtype, str) or dtype not in _DTYPES:
                 raise ScanstageError(f"{path}: layers.{name}.{value}: {str(dtype)[:20]!r} is none of {', '.join(sorted(_DTYPES))}; {AGAIN}")
             numbers[value] = file.array(f"{name}_{value}", dtype, (len(voxels),))
         layers[name] = VoxelLayer(voxels, numbers)

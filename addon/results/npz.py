@@ -66,13 +66,18 @@ class VolumeFile:
     def __contains__(self, name: str) -> bool:
         return f"{name}.npy" in self._archive.namelist()
 
-    def array(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> np.ndarray:
-        """Read a whole array of that type and shape, where None is any length."""
+    def array(self, name: str, dtype: str, shape: tuple[int | None, ...], *, most: int = MAX_ENTRIES) -> np.ndarray:
+        """Read a whole array of that type and shape, where None is any length, and of at most so many rows."""
         with self._entry(name) as entry:
             found = self._header(entry, name, dtype, shape)
-            if found and found[0] > MAX_ENTRIES:
-                raise ScanstageError(f"{self._path}: {name} has {found[0]} rows, more than {MAX_ENTRIES}; {AGAIN}")
+            if found and found[0] > min(most, MAX_ENTRIES):
+                raise ScanstageError(f"{self._path}: {name} has {found[0]} rows, more than {min(most, MAX_ENTRIES)}; {AGAIN}")
             return np.frombuffer(self._read(entry, name, _bytes(found, dtype)), dtype).reshape(found)
+
+    def shape(self, name: str, dtype: str, dimensions: int) -> tuple[int, ...]:
+        """Read what shape an array of that type and number of dimensions has."""
+        with self._entry(name) as entry:
+            return self._header(entry, name, dtype, (None,) * dimensions)
 
     def volume(self, grid: VoxelGrid) -> SparseVolume:
         """Read ``occupancy``, whose shape must be the grid's, slab by slab."""

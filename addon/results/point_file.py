@@ -15,7 +15,9 @@ import numpy as np
 
 from ..errors import ScanstageError
 from ..reconstruction.color import linear_to_srgb, srgb_to_linear
+from ..reconstruction.geometry import VoxelGrid
 from ..reconstruction.points import PointCloud
+from ..reconstruction.volumetric.surface import Surface
 from .npz import AGAIN
 from .ply import write_ply
 
@@ -36,6 +38,22 @@ def write_points(path: Path, cloud: PointCloud) -> None:
     """
     colors = np.rint(linear_to_srgb(np.clip(cloud.colors, 0, 1)) * 255).astype(np.uint8)
     write_ply(path, cloud.positions, vertex_colors=colors, normals=cloud.normals, attributes={"sigma": cloud.sigma, "view": cloud.view})
+
+
+def surface_points(surface: Surface, grid: VoxelGrid, rgb: np.ndarray | None) -> PointCloud:
+    """Return the centres of a surface's voxels as points: with its normals, and known to a voxel's half diagonal.
+
+    Parameters
+    ----------
+    surface : Surface
+    grid : VoxelGrid
+    rgb : (s, 3) array or None
+        Linear colours; grey where there are none.
+    """
+    count = len(surface.voxels)
+    colors = np.full((count, 3), 0.5) if rgb is None else rgb
+    return PointCloud(grid.centres(surface.voxels), surface.normals(), colors, np.full(count, grid.voxel_size * 3 ** 0.5 / 2),
+                      np.zeros(count))
 
 
 def read_points(path: Path) -> PointCloud:

@@ -16,6 +16,7 @@ from ..reconstruction.evaluation import vertex_distances
 from ..reconstruction.mesh import TriangleMesh
 from ..stage.ownership import find_stage
 from ..stage.readback import frame_kept, staged_objects, truth_mesh, turntable_of
+from .cameras import cameras_are_shown
 from .carved import add_carved
 from .comparison import add_comparison
 from .folder import Result
@@ -47,6 +48,8 @@ def results_collection(scene: bpy.types.Scene) -> bpy.types.Collection:
 def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False) -> bpy.types.Object:
     """Put a result's mesh, or its voxels', into the scene, beside the object; earlier ones are replaced.
 
+    Where the cameras of a capture set are shown (see `cameras`) it stands among them, in its own place.
+
     Beside that stand the points, of a method that measures some, and the voxels that shadows carved.
 
     Parameters
@@ -68,7 +71,8 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
     with frame_kept(scene):
         beside = _staged(scene)[0]
     step = [(1 + _GAP) * float(np.ptp(result.surface.vertices[:, 0])), 0, 0]
-    beside[:3, 3] += step
+    if not cameras_are_shown(scene):
+        beside[:3, 3] += step
     farther = beside.copy()
     farther[:3, 3] += step
     if result.points is not None:

@@ -80,6 +80,7 @@ class SCANSTAGE_PT_capture(_Panel, bpy.types.Panel):
             _split(body).prop(settings, "import_format")
             body.operator(operators.capture.SCANSTAGE_OT_import.bl_idname, icon='IMPORT')
             body.operator(operators.capture.SCANSTAGE_OT_export_capture.bl_idname, icon='EXPORT')
+            body.operator(operators.capture.SCANSTAGE_OT_show_cameras.bl_idname, icon='OUTLINER_DATA_CAMERA')
         header, body = layout.panel("scanstage_silhouettes", default_closed=True)
         header.label(text="Silhouettes")
         if body:

@@ -23,9 +23,10 @@ DOCUMENT = {
                 "lights": {"lamp": {"kind": "spot", "position": [1, 2, 3], "direction": [0, 0, -1], "radius": 0.01},
                            "sun": {"kind": "sun", "position": None, "direction": [0, 0, -1], "radius": 0}}},
     "frames": [{"id": "0001", "image": "images/0001.png", "camera": "left", "object_to_world": np.eye(4).tolist(),
-                "lights": ["lamp"], "pattern": None, "mask": None, "board_pose": None},
+                "lights": ["lamp"], "pattern": None, "mask": None, "board_pose": None, "contours": None},
                {"id": "0002", "image": "images/0002.png", "camera": "left", "object_to_world": QUARTER_TURN,
-                "lights": ["lamp", "sun"], "pattern": "stripes", "mask": "given/0002.png", "board_pose": "by hand 1"}],
+                "lights": ["lamp", "sun"], "pattern": "stripes", "mask": "given/0002.png", "board_pose": "by hand 1",
+                "contours": "given/0002.txt"}],
     "patterns": {"stripes": {"kind": "gray-code", "bit": 3}},
     "encoding": "srgb", "silhouette": {"silhouette": "threshold", "threshold": 0.3}, "plate": {"left": "plates/left.png"},
     "bounds": [[-1, -1, 0], [1, 1, 2]], "truth": {"mesh": "truth.ply"}, "missing": ["0002"],
@@ -44,7 +45,7 @@ def document() -> dict:
 @pytest.fixture
 def capture_folder(tmp_path, document) -> Path:
     """A whole capture set of two frames: a bright square on black, with a mask, a plate and a truth."""
-    document["missing"], document["frames"][1]["board_pose"], document["pencils"] = [], None, None
+    document["missing"], document["frames"][1]["board_pose"], document["frames"][1]["contours"], document["pencils"] = [], None, None, None
     picture = np.zeros((SIZE[1], SIZE[0], 3), np.float32)
     picture[2:4, 3:6] = 0.8
     for name in ("images/0001.png", "images/0002.png", "given/0002.png"):

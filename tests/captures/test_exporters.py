@@ -23,17 +23,17 @@ from addon.reconstruction.geometry import Camera, look_at, rotation_about
 SIZE = (16, 12)
 POINTS = np.random.default_rng(1).uniform(-0.3, 0.3, (20, 3))
 LENSES = {"colmap": [(), (-0.1, 0.02, 0.001, -0.002, 0.0)], "transforms": [(), (-0.1, 0.02, 0.001, -0.002, 0.003)],
-          "opencv": [(), (-0.1, 0.02, 0.001, -0.002, 0.003)], "middlebury": [()]}
+          "opencv": [(), (-0.1, 0.02, 0.001, -0.002, 0.003)], "middlebury": [()], "tum": [(), (-0.1, 0.02, 0.001, -0.002, 0.003)]}
 CASES = [(name, lens) for name, lenses in LENSES.items() for lens in lenses]
-SOURCE = {"colmap": ".", "transforms": ".", "opencv": "cameras.yml", "middlebury": "."}
+SOURCE = {"colmap": ".", "transforms": ".", "opencv": "cameras.yml", "middlebury": ".", "tum": "."}
 
 
-def turning(folder, lens=(), masks=False):
-    """Write a set of two cameras before a table with three poses, whose second camera has another lens."""
+def turning(folder, lens=(), masks=False, alike=False):
+    """Write a set of two cameras before a table with three poses, whose second camera has another lens unless they are ``alike``."""
     cameras = {}
     for number, name in enumerate(("left", "right")):
         R, t = look_at((1.5 + number, 0.7, 0.4), (0.0, 0.1, 0.05))
-        cameras[name] = Camera([[19.0 + number, 0, 7.3], [0, 19.5, 5.1], [0, 0, 1]], R, t, SIZE, lens or np.zeros(5))
+        cameras[name] = Camera([[19.0 + number * (not alike), 0, 7.3], [0, 19.5, 5.1], [0, 0, 1]], R, t, SIZE, lens or np.zeros(5))
     frames = []
     for pose in range(3):
         motion = np.eye(4)
@@ -51,7 +51,7 @@ def turning(folder, lens=(), masks=False):
 
 @pytest.mark.parametrize(("name", "lens"), CASES)
 def test_cameras_and_pictures_come_back_as_they_went(tmp_path, name, lens):
-    ours = turning(tmp_path / "set", lens)
+    ours = turning(tmp_path / "set", lens, alike=name == "tum")
     assert export_capture(name, tmp_path / "set", tmp_path / "out") == 6
     import_capture(name, tmp_path / "out" / SOURCE[name], tmp_path / "back")
     back = read_capture(tmp_path / "back")
@@ -123,10 +123,11 @@ def test_files_by_other_hands(tmp_path):
     np.testing.assert_allclose(camera.forward, (0, 1, 0), atol=1e-12)
 
 
-def test_masks_go_along(tmp_path):
-    turning(tmp_path / "set", masks=True)
-    export_capture("transforms", tmp_path / "set", tmp_path / "out")
-    back = import_capture("transforms", tmp_path / "out", tmp_path / "back")
+@pytest.mark.parametrize("name", EXPORTERS)
+def test_masks_go_along(tmp_path, name):
+    turning(tmp_path / "set", masks=True, alike=name == "tum")
+    export_capture(name, tmp_path / "set", tmp_path / "out")
+    back = import_capture(name, tmp_path / "out" / SOURCE[name], tmp_path / "back", {} if name == "transforms" else {"masks": "masks"})
     for frame in back.frames:
         assert (tmp_path / "back" / frame.mask).read_bytes() == (tmp_path / "set/given" / f"{frame.id}.png").read_bytes()
 
@@ -147,6 +148,8 @@ def test_what_a_format_cannot_say_is_refused(tmp_path):
         export_capture("colmap", tmp_path / "set", tmp_path / "out")
     with pytest.raises(ScanstageError, match="Middlebury's format has no words for its lens"):
         export_capture("middlebury", tmp_path / "set", tmp_path / "out")
+    with pytest.raises(ScanstageError, match="frame 0-right: was taken by another camera than frame 0-left"):
+        export_capture("tum", tmp_path / "set", tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -166,7 +169,7 @@ def test_a_bad_line_of_colmaps_is_named(tmp_path, text, problem):
 def test_no_file_outside_is_read(tmp_path, name):
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 16 12 1 2 3 4\n")
     (tmp_path / "images.txt").write_text(f"1 1 0 0 0 0 0 3 1 {name}\n\n")
-    with pytest.raises(ScanstageError, match="is no file below the pictures' folder"):
+    with pytest.raises(ScanstageError, match="leaves the source's folder"):
         import_capture("colmap", tmp_path, tmp_path / "set")
     (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 1, "frames": [{"file_path": name, "transform_matrix": np.eye(4).tolist()}]}))
     with pytest.raises(ScanstageError, match=r"frames\[0\].file_path"):
@@ -174,12 +177,12 @@ def test_no_file_outside_is_read(tmp_path, name):
 
 
 @pytest.mark.parametrize(("name", "file"), [("colmap", "sparse/0/images.txt"), ("colmap", "sparse/0/cameras.txt"), ("transforms", "transforms.json"),
-                                            ("middlebury", "scanstage_par.txt"), ("opencv", "cameras.yml")])
+                                            ("middlebury", "scanstage_par.txt"), ("opencv", "cameras.yml"), ("tum", "groundtruth.txt")])
 @settings(max_examples=40, deadline=2000, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_file_is_one_error_or_a_capture(tmp_path_factory, name, file, data):
     folder = tmp_path_factory.mktemp("fuzz")
-    turning(folder / "set")
+    turning(folder / "set", alike=name == "tum")
     export_capture(name, folder / "set", folder / "out")
     text = bytearray((folder / "out" / file).read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):

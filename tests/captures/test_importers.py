@@ -11,11 +11,13 @@ import pytest
 
 from addon.captures.importers import IMPORTERS, import_capture
 from addon.captures.importers.sources import natural_key
-from addon.captures.pictures import write_picture
+from addon.captures.pictures import write_mask, write_picture
 from addon.captures.scan import load_scan
 from addon.captures.store import read_capture
 from addon.errors import ScanstageError
-from addon.reconstruction.geometry import Camera, look_at
+from addon.reconstruction.geometry import Camera, look_at, rotation_about
+from addon.reconstruction.methods import reconstruct
+from tests.rigs import Ball, Box, camera_at, silhouette
 
 SIZE = (40, 30)
 K = np.array([[60.0, 0, 19], [0, 61, 15], [0, 0, 1]])
@@ -128,7 +130,7 @@ def test_middlebury_keeps_cameras_boxes_and_options(middlebury, tmp_path):
     ("3\n", "4\n", "x_par.txt: line 1 announces 4 pictures, 3 follow"),
     ("3\n", "many\n", "x_par.txt: line 1 must be the number of pictures"),
     ("x0002.png", "x0002.png 7", "x_par.txt: line 3 has 23 words"),
-    ("x0002.png", "x0003.png", "x_par.txt: line 3: the picture x0003.png is not in"),
+    ("x0002.png", "x0003.png", "x_par.txt: line 3: the picture 'x0003.png' is not in"),
     ("x0002.png", "../x0002.png", "x_par.txt: line 3: '../x0002.png' is no plain file name"),
     ("x0002.png 60", "x0002.png nan", "x_par.txt: line 3: a number is not finite"),
     ("x0002.png 60", "x0002.png K", "x_par.txt: line 3: one of the 21 values is no number"),
@@ -292,3 +294,56 @@ def test_unknown_formats_options_and_sources(middlebury, tmp_path):
     with pytest.raises(ScanstageError, match="is not there"):
         import_capture("opencv", tmp_path / "nowhere", tmp_path / "out")
     assert all(name == importer.name for name, importer in IMPORTERS.items())
+
+
+SHAPES = [Ball((0.1, -0.1, 0.25), 0.3), Box((0.0, 0.15, -0.2), (0.35, 0.15, 0.1), rotation_about((1, 2, 3), 0.5))]
+
+
+def hull_of(folder, world, bounds):
+    """Return the hull (nx, ny, nz), by the centres' rule, of shapes before cameras whose matrices are those of a world that is (4, 4)
+    times ours, and the cameras."""
+    folder.mkdir()
+    for number, camera in enumerate(RING):
+        write_mask(folder / f"image_{number}.png", silhouette(camera, SHAPES))
+    write_storage(folder / "cameras.yml", **{f"P_{n}": (-1) ** n * 2.5 * camera.P @ np.linalg.inv(world) for n, camera in enumerate(RING)})
+    capture = import_capture("opencv", folder, folder / "set", {"conservative": False, "silhouette": "threshold", "threshold": 0.5})
+    found = reconstruct(load_scan(folder / "set"), "visual-hull", voxels=48, bounds=np.array(bounds), options={"rule": "center"})
+    return found, [capture.camera_of(frame) for frame in capture.frames]
+
+
+RING = [camera_at((3 * np.cos(a), 3 * np.sin(a), 1.1 + 0.3 * np.sin(3 * a)), focal=200, size=(160, 120)) for a in np.arange(9) * 0.71]
+CUBE = [[-0.7, -0.7, -0.7], [0.7, 0.7, 0.7]]
+
+
+def test_a_mirrored_world_gives_the_mirrored_hull(tmp_path):
+    ours, _ = hull_of(tmp_path / "ours", np.eye(4), CUBE)
+    mirrored, cameras = hull_of(tmp_path / "mirrored", np.diag((1, 1, -1, 1)), CUBE)
+    assert all(camera.mirrored for camera in cameras) and 1000 < ours.volume.count() < 60_000
+    np.testing.assert_array_equal(mirrored.volume.dense()[:, :, ::-1], ours.volume.dense())
+    assert any("mirrored" in warning for warning in mirrored.report["warnings"])
+
+
+@pytest.mark.parametrize("handed", [1, -1])
+def test_a_world_that_is_not_even_metric_gives_its_own_hull(tmp_path, handed):
+    """As of matrices that were found from points alone: each is right, and the world is a projective image of ours."""
+    world = np.array([[1, 0.2, 0.1, 0.05], [0, 1.3, -0.2, 0], [0.1, 0, 0.8 * handed, 0.1], [0.06, -0.04, 0.08, 1]])
+    found, cameras = hull_of(tmp_path / "set", world, [[-1, -1, -1], [1, 1, 1]])
+    assert max(abs(camera.K[0, 1]) for camera in cameras) > 1 and all(camera.mirrored == (handed < 0) for camera in cameras)
+    grid = found.volume.grid
+    centres = grid.centres(np.indices(grid.shape).reshape(3, -1).T)
+    back = np.column_stack((centres, np.ones(len(centres)))) @ np.linalg.inv(world).T
+    inside = np.ones(len(centres), bool)
+    for camera in RING:  # in our world, of which the importer has seen nothing
+        column, row = np.rint(camera.project(back[:, :3] / back[:, 3:])[0]).astype(int).T
+        in_picture = (column >= 0) & (row >= 0) & (column < 160) & (row < 120)
+        mask = silhouette(camera, SHAPES)
+        inside &= ~in_picture | mask[np.where(in_picture, row, 0), np.where(in_picture, column, 0)]
+    assert 500 < np.count_nonzero(inside)
+    assert np.count_nonzero(found.volume.dense().ravel() ^ inside) <= 3  # centres on a pixel's border, by the last digit
+
+
+def test_what_cannot_be_decomposed_is_said(tmp_path):
+    source = write_pictures(tmp_path / "set", ["image_0", "image_1"])
+    write_storage(source / "cameras.yml", P_0=ring(2)[0].P, P_1=np.array([[60.0, 0, 0, 20], [0, 60, 0, 15], [0, 0, 0, 1]]))  # parallel rays
+    with pytest.raises(ScanstageError, match="^cameras.yml: P_1: P must have an invertible left 3x3 part; correct the calibration"):
+        import_capture("opencv", source, tmp_path / "out")

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from addon.reconstruction.contours import crossing, fill, simplify, trace_outlines
+from addon.reconstruction.contours import centres_within, crossing, fill, simplify, trace_outlines
 
 
 def disc_mask(radius, centre=(40.3, 31.8), size=(80, 64)):
@@ -89,3 +89,17 @@ def test_filled_outlines_are_the_mask_within_a_pixel():
     mask = disc_mask(25) & ~disc_mask(10)
     filled = fill(trace_outlines(mask), (80, 64))
     assert filled[mask].all() and not filled[disc_mask(8)].any() and not filled[~disc_mask(27)].any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_centres_within_traced_outlines_are_the_mask(seed):
+    mask = np.random.default_rng(seed).random((23, 31)) < 0.55
+    np.testing.assert_array_equal(centres_within(trace_outlines(mask), (31, 23)), mask)
+
+
+def test_centres_within_an_ellipse_and_its_hole_that_leave_the_picture():
+    angle = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
+    loops = [np.column_stack((10.3 + radius * np.cos(angle), 4.2 + 0.7 * radius * np.sin(angle))) for radius in (14.05, 6.1)]
+    y, x = np.mgrid[:17, :20]
+    distance = np.hypot(x - 10.3, (y - 4.2) / 0.7)
+    np.testing.assert_array_equal(centres_within(loops, (20, 17)), (distance < 14.05) & (distance > 6.1))

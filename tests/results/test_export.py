@@ -9,15 +9,17 @@ import bpy
 import numpy as np
 import pytest
 
+from addon import compat
 from addon.errors import ScanstageError
 from addon.reconstruction.volumetric.coloring import SurfaceColors
 from addon.reconstruction.volumetric.volume import SparseVolume
-from addon.results.export import ENDINGS, export_mesh, export_result, split_voxels
+from addon.results.export import FORMATS, export_mesh, export_result, split_voxels
 from addon.results.folder import write_result
 from addon.results.objects import add_voxel_mesh
 
 pytestmark = pytest.mark.usefixtures("empty_scene")
 
+ENDINGS = [ending for ending in FORMATS if ending != ".vdb" or compat.openvdb() is not None]
 RGB = np.array([(0.9, 0.05, 0.1), (0.02, 0.6, 0.3), (0.1, 0.2, 0.8)], np.float32)
 FRAME = np.array([(0, -1, 0, 2.0), (1, 0, 0, -1.0), (0, 0, 1, 0.5), (0, 0, 0, 1)])
 
@@ -122,7 +124,7 @@ def test_an_older_file_is_replaced_and_capital_endings_are_known(tmp_path, corne
 
 
 def test_errors_name_the_file_and_leave_nothing(tmp_path, corner, grid):
-    with pytest.raises(ScanstageError, match=r"made\.fbx.*\.blend \.ply \.obj \.stl \.glb \.vox"):
+    with pytest.raises(ScanstageError, match=r"made\.fbx.*\.blend \.ply \.obj \.stl \.glb \.vox \.npz \.txt \.vdb"):
         export_mesh(corner, RGB, tmp_path / "made.fbx", grid=grid)
     for ending in ENDINGS:
         with pytest.raises(ScanstageError, match="cannot be written"):

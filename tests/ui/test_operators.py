@@ -78,6 +78,9 @@ def test_from_stage_to_evaluation(captured, tmp_path):
     assert bpy.ops.scanstage.export_mesh(filepath=str(out)) == {'FINISHED'}
     assert out.stat().st_size > 1000
 
+    assert bpy.ops.scanstage.show_cameras() == {'FINISHED'}
+    assert len(bpy.data.collections["Scanstage Cameras"].objects) == 6
+
     assert bpy.ops.scanstage.report_page(filepath=str(tmp_path / "page.html")) == {'FINISHED'}
     assert (tmp_path / "page.html").read_text() == page_of(result)
     assert bpy.ops.scanstage.export_capture(filepath=str(tmp_path / "colmap"), format='colmap') == {'FINISHED'}
@@ -219,7 +222,7 @@ def test_the_threshold_of_probabilities_is_live_and_can_be_undone(captured):
 
 @pytest.mark.parametrize("operator, reason", [
     ("capture", "Build a stage first"), ("remove_stage", "Build a stage first"), ("reconstruct", "Capture or import pictures first"),
-    ("show_masks", "Capture or import pictures first"), ("show_shadows", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"), ("show_pictures", "Reconstruct first"),
+    ("show_cameras", "Capture or import pictures first"), ("show_masks", "Capture or import pictures first"), ("show_shadows", "Capture or import pictures first"), ("evaluate", "Reconstruct first"), ("show_result", "Reconstruct first"), ("show_pictures", "Reconstruct first"),
     ("export_mesh", "Reconstruct first"), ("report_page", "Reconstruct first"), ("export_capture", "Capture or import pictures first")])
 def test_a_button_that_cannot_work_yet_says_why(scene, operator, reason):
     with pytest.raises(RuntimeError, match=reason):

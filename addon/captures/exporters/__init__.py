@@ -19,13 +19,14 @@ from ...options import Option, Value, resolve
 from ...progress import Progress, silent
 from ..files import write_bytes
 from ..pictures import read_picture, write_picture
-from ..scan import MASKS, lighting_groups
+from ..scan import MASKS, views_of_object
 from ..schema import FILE_NAME, Capture, Frame
 from ..store import read_capture
 from .colmap import colmap_files
 from .middlebury import middlebury_files
 from .opencv import opencv_files
 from .transforms import transforms_files
+from .tum import tum_files
 from .views import ExportedView
 
 
@@ -56,6 +57,8 @@ EXPORTERS = {exporter.name: exporter for exporter in (
              transforms_files),
     Exporter("middlebury", "Middlebury Multi-View", "A *_par.txt with the pictures beside it; no lens distortion", "", middlebury_files),
     Exporter("opencv", "OpenCV FileStorage", "A cameras.yml with K, R, t and distortion of each picture beside it", "", opencv_files),
+    Exporter("tum", "TUM trajectory", "A groundtruth.txt and rgb.txt with one camera's K in camera.yml and the pictures in rgb", "rgb",
+             tum_files),
 )}
 OPTIONS = (
     Option("pictures", "srgb", "How the pictures are written", choices={
@@ -105,8 +108,7 @@ def export_capture(format: str, folder: Path, out: Path, options: Mapping[str, V
 
 
 def _views(folder: Path, capture: Capture, pictures: str, values: Mapping[str, Value]) -> list[ExportedView]:
-    frames = [group[0] for group in lighting_groups(frame for frame in capture.frames
-                                                    if frame.pattern is None and frame.board_pose is None)]
+    frames = [frame for frame in views_of_object(capture) if frame.pattern is None]
     missing = set(capture.missing)
     if late := [frame.id for frame in frames if frame.id in missing]:
         raise ScanstageError(f"{FILE_NAME}: missing: {len(late)} of {len(frames)} frames are not rendered yet (first: {late[0]}); run "

@@ -19,13 +19,18 @@ from ...reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ..placing import check_place, put_in_place
 from ..schema import Capture
 from .board import BOARD_OPTIONS, read_board
+from .bouguet import read_bouguet
 from .colmap import read_colmap
 from .desk import read_desk
 from .middlebury import MIDDLEBURY_OPTIONS, read_middlebury
 from .opencv import read_opencv
+from .silhouettes import with_masks
 from .slstudio import read_slstudio
 from .sources import Import
 from .transforms import read_transforms
+from .tum import TUM_OPTIONS, read_tum
+from .turntable import TURNTABLE_OPTIONS, read_turntable
+from .undistorting import undistorted
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,10 @@ class Importer:
 COMMON_OPTIONS = (
     Option("encoding", "srgb", "How the pictures' values stand for light", choices={
         "srgb": "As screens and cameras' JPEGs have it", "linear": "In proportion to the light"}),
+    Option("masks", "", "Folder with the silhouette of each picture under the picture's name, as a mask or, ending in .txt, as outlines; "
+           "from the source's folder on"),
+    Option("undistort", False, "Free the pictures and masks of the lens's distortion once and for all, and crop what is then not known; "
+           "otherwise the lens is kept, and every method allows for it"),
 )
 
 IMPORTERS = {importer.name: importer for importer in (
@@ -66,6 +75,12 @@ IMPORTERS = {importer.name: importer for importer in (
     Importer("colmap", "COLMAP", "A text model (cameras.txt, images.txt) with its pictures in a folder images near it", (), read_colmap),
     Importer("transforms", "NeRF transforms.json", "The file of NeRF, instant-ngp or nerfstudio with its pictures below it", (),
              read_transforms),
+    Importer("turntable", "Turntable pictures", "A folder of one camera's pictures of a turning object, with an OpenCV file of K and the "
+             "table's axis", TURNTABLE_OPTIONS, read_turntable),
+    Importer("tum", "TUM trajectory", "A trajectory (timestamp tx ty tz qx qy qz qw) with its pictures and an OpenCV file of their K",
+             TUM_OPTIONS, read_tum),
+    Importer("bouguet", "Bouguet's toolbox", "Calib_Results.m with the pictures of its numbers beside it, and outlines as .txt", (),
+             read_bouguet),
     Importer("board", "Calibration board", "A folder of pictures of a calibration board before one camera, to be calibrated",
              BOARD_OPTIONS, read_board),
     Importer("slstudio", "SLStudio", "The calibration of a camera and a projector (Kc kc Kp kp Rp Tp) with the frames of a Gray-code scan",
@@ -110,7 +125,10 @@ def import_capture(format: str, source: Path, out: Path, options: Mapping[str, V
         raise ScanstageError(f"{source}: is not there; give the {format} source's path")
     check_place(source, out)
     found = importer.function(source, **{option.name: resolved[option.name] for option in importer.options})
+    if resolved["masks"]:
+        found = with_masks(found, (source if source.is_dir() else source.parent) / resolved["masks"])
+    found, made = undistorted(found, resolved["encoding"]) if resolved["undistort"] else (found, {})
     capture = replace(found.capture, encoding=resolved["encoding"], generator=f"scanstage import {format}", silhouette={
         **found.capture.silhouette, **{name: resolved[name] for name in given if name in silhouette_names}})
-    put_in_place(capture, found.pictures, out, progress)
+    put_in_place(capture, found.pictures, out, progress, made=made)
     return capture

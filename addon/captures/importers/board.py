@@ -13,8 +13,7 @@ from ...errors import ScanstageError
 from ...options import Option, Unit
 from ...reconstruction.calibration.board import DICTIONARIES, LEAST_SQUARES, MAX_SQUARES, Board
 from ...reconstruction.geometry import Camera
-from ..picture_format import SUFFIXES
-from .sources import Import, assemble, checked_size
+from .sources import Import, assemble, common_size, pictures_in
 
 BOARD_OPTIONS = (
     Option("board", "checkerboard", "The board's kind", choices={
@@ -43,16 +42,10 @@ def read_board(source: Path, *, board: str, columns: int, rows: int, square: flo
         shown = Board(board, columns, rows, square, *((marker, dictionary) if board == "charuco" else ()))
     except ValueError as error:
         raise ScanstageError(f"import board: {error}") from None
-    pictures = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES)
-    if not pictures:
-        raise ScanstageError(f"{source}: holds no pictures; give the folder of the board's pictures")
-    sizes = [checked_size(path, str(source)) for path in pictures]
-    for path, size in zip(pictures, sizes, strict=True):
-        if size != sizes[0]:
-            raise ScanstageError(f"{path.name}: is {size[0]}x{size[1]} pixels and {pictures[0].name} {sizes[0][0]}x{sizes[0][1]}; give "
-                                 "pictures of one camera, none turned or cropped")
-    (width, height), focal = sizes[0], _FOCAL * max(sizes[0])
-    camera = Camera([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]], np.eye(3), np.zeros(3), sizes[0])
+    pictures = pictures_in(source)
+    size = common_size(pictures, str(source))
+    (width, height), focal = size, _FOCAL * max(size)
+    camera = Camera([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]], np.eye(3), np.zeros(3), size)
     found = assemble([(path, camera) for path in pictures])
     frames = tuple(replace(frame, camera=CAMERA, board_pose=frame.id) for frame in found.capture.frames)
     return replace(found, capture=replace(found.capture, cameras={CAMERA: camera}, frames=frames, board=shown))

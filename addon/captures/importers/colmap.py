@@ -10,14 +10,14 @@ which the second, the points seen in it, may be empty and is not used.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
 from ...errors import ScanstageError
 from ...reconstruction.geometry import Camera
 from ..fields import MAX_NUMBER
-from .sources import Import, assemble, camera_from, checked_size, read_text
+from .sources import Import, assemble, camera_from, checked_size, find_below, own_file, read_text
 
 MODELS = {"SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"), "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
           "RADIAL": ("f", "cx", "cy", "k1", "k2"), "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")}
@@ -42,8 +42,8 @@ def read_colmap(source: Path) -> Import:
         A file is not there, a line of it cannot be used, or a picture is not there.
     """
     folder = _model(source)
-    lenses = dict(_lenses(folder / "cameras.txt"))
-    views = [_view(folder, place, words, lenses) for place, words in _pictures(folder / "images.txt")]
+    lenses = dict(_lenses(own_file(folder, "cameras.txt")))
+    views = [_view(folder, place, words, lenses) for place, words in _pictures(own_file(folder, "images.txt"))]
     if not views:
         raise ScanstageError("images.txt: names no picture; export the model again")
     return assemble(views)
@@ -124,13 +124,11 @@ def _view(folder: Path, place: str, words: list[str], lenses: dict) -> tuple[Pat
 
 
 def _picture(folder: Path, name: str, place: str) -> Path:
-    relative = PurePosixPath(name)
-    if relative.is_absolute() or ".." in relative.parts or "\\" in name or "\0" in name:
-        raise ScanstageError(f"{place}: {name[:100]!r} is no file below the pictures' folder; correct the name")
-    found = next((folder / base / relative for base in _PICTURES if (folder / base / relative).is_file()), None)
-    if found is None:
+    found = (find_below(folder / base, name, place) for base in _PICTURES if not (folder / base).is_symlink())
+    picture = next((picture for picture in found if picture is not None), None)
+    if picture is None:
         raise ScanstageError(f"{place}: the picture {name[:100]!r} is not in a folder images near the model; put it there")
-    return found.resolve()
+    return picture
 
 
 def _numbers(words: list[str], place: str) -> list[float]:

@@ -21,10 +21,9 @@ from ...reconstruction.calibration.board import LEAST_SQUARES, MAX_SQUARES
 from ...reconstruction.geometry import Light
 from ..fields import Field, parse_json
 from ..files import read_bytes
-from ..picture_format import SUFFIXES
 from ..schema import Frame, Pencils
 from .board import CAMERA, read_board
-from .sources import MAX_CALIBRATION_BYTES, Import, checked_size, natural_key
+from .sources import MAX_CALIBRATION_BYTES, Import, checked_size, own_file, pictures_in
 
 NOTES, BOARDS, LAMP, SWEEP = "annotations.json", "calib", "lamp", "shadow"
 _OTHERS = ("calib", "light")  # folders that hold no sweep
@@ -41,7 +40,7 @@ def read_desk(source: Path) -> Import:
     """
     notes = _notes(source)
     columns, rows = (side.integer(LEAST_SQUARES - 1, MAX_SQUARES - 1) + 1 for side in _pair(notes["chessboard_inner"]))
-    boards = read_board(source / BOARDS, board="checkerboard", columns=columns, rows=rows,
+    boards = read_board(own_file(source, BOARDS), board="checkerboard", columns=columns, rows=rows,
                         square=notes["square_mm"].number(1e-6, 1e6), marker=0.0, dictionary="")
     first = boards.capture.frames[0].board_pose
     size = boards.capture.cameras[CAMERA].size
@@ -62,7 +61,7 @@ def read_desk(source: Path) -> Import:
 def _notes(source: Path) -> Mapping[str, Field]:
     if not (source / NOTES).is_file():
         raise ScanstageError(f"{source}: has no {NOTES}; give the folder that holds it")
-    fields = parse_json(read_bytes(source / NOTES, MAX_CALIBRATION_BYTES), NOTES).mapping()
+    fields = parse_json(read_bytes(own_file(source, NOTES), MAX_CALIBRATION_BYTES), NOTES).mapping()
     for name in ("chessboard_inner", "square_mm", "pencil_base_px", "shadow_tip_px", "pencil_height_mm", "reference_rows_px"):
         if name not in fields or not fields[name].given:
             raise ScanstageError(f"{NOTES}: {name}: is missing; add it")
@@ -81,10 +80,7 @@ def _sweep(source: Path) -> list[Path]:
     if len(folders) != 1:
         raise ScanstageError(f"{source}: holds {len(folders)} folders beside {' and '.join(_OTHERS)}; leave one, with the "
                              "frames of the sweep")
-    frames = sorted((item for item in folders[0].iterdir() if item.suffix.lower() in SUFFIXES), key=lambda item: natural_key(item.name))
-    if not frames:
-        raise ScanstageError(f"{folders[0]}: holds no pictures; put the frames of the sweep there")
-    return frames
+    return pictures_in(own_file(source, folders[0].name))
 
 
 def _strips(rows: Field, height: int, board_pose: str) -> list[dict[str, object]]:

@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import ScanstageError
 from ...options import Option
 from ..fields import MAX_NUMBER
-from .sources import Import, assemble, camera_from, checked_size, read_text
+from .sources import Import, assemble, camera_from, checked_size, find_below, own_file, read_text
 
 MIDDLEBURY_OPTIONS = (
     Option("good_silhouettes", False, "Leave out the pictures that *_good_silhouette_images.txt does not list, whose "
@@ -63,14 +63,14 @@ def _only(source: Path, pattern: str) -> Path:
     found = sorted(source.glob(pattern))
     if len(found) != 1:
         raise ScanstageError(f"{source}: holds {len(found)} files {pattern} where one is needed; give the file itself")
-    return found[0]
+    return own_file(source, found[0].name)
 
 
 def _camera(parameters: Path, number: int, words: list[str]) -> tuple[Path, object]:
     place = f"{parameters.name}: line {number}"
     if len(words) != 22:
         raise ScanstageError(f"{place} has {len(words)} words where 22 are needed (name, K, R, t); correct it")
-    if Path(words[0]).name != words[0] or "\\" in words[0] or words[0] in (".", ".."):
+    if "/" in words[0]:
         raise ScanstageError(f"{place}: {words[0][:100]!r} is no plain file name; put the picture beside the file")
     try:
         values = np.array([float(word) for word in words[1:]])
@@ -78,7 +78,9 @@ def _camera(parameters: Path, number: int, words: list[str]) -> tuple[Path, obje
         raise ScanstageError(f"{place}: one of the 21 values is no number; correct it") from None
     if not (np.abs(values) <= MAX_NUMBER).all():
         raise ScanstageError(f"{place}: a number is not finite or is too large; correct it")
-    picture = parameters.parent / words[0]
+    picture = find_below(parameters.parent, words[0], place)
+    if picture is None:
+        raise ScanstageError(f"{place}: the picture {words[0][:100]!r} is not in {parameters.parent}; put it there")
     size = checked_size(picture, place)
     K, R, t = values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:]
     return picture, camera_from(K, R, t, np.zeros(5), size, place)
@@ -93,7 +95,7 @@ def _box(folder: Path) -> np.ndarray | None:
     readme = next((path for path in sorted(folder.iterdir()) if path.name.lower() == "readme.txt"), None)
     if readme is None:
         return None
-    after = re.split(r"bounding\s+box", read_text(readme), maxsplit=1, flags=re.IGNORECASE)
+    after = re.split(r"bounding\s+box", read_text(own_file(folder, readme.name)), maxsplit=1, flags=re.IGNORECASE)
     numbers = re.findall(_NUMBER, after[1][:400]) if len(after) == 2 else []
     if len(numbers) < 6:
         return None

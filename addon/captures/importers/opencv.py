@@ -17,6 +17,8 @@ to the one with the same number: ``viff007_matrix`` to ``image_7.jpg``. Pictures
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -26,8 +28,7 @@ from ...errors import ScanstageError
 from ...reconstruction.geometry import Camera
 from ...reconstruction.volumetric.bounds import meeting_point
 from ..fields import MAX_NUMBER
-from ..picture_format import SUFFIXES
-from .sources import Import, assemble, camera_from, checked_size, read_text
+from .sources import Import, assemble, camera_from, checked_size, own_file, pictures_in, read_text
 
 NAMES = {"P": ("P", "projection_matrix", "projection"),
          "K": ("K", "camera_matrix", "cameraMatrix", "M", "intrinsics"),
@@ -36,6 +37,8 @@ NAMES = {"P": ("P", "projection_matrix", "projection"),
          "t": ("t", "T", "translation", "tvec")}
 _MAX_DEPTH = 100
 _MAX_INDENT = 400
+_LONG_NUMBER = re.compile(r"(?<![\w.+\-])[+-]?\d{10,}(?=[\s,\]}<]|$)")
+_LONG_HEXADECIMAL = re.compile(r"(?<![\w.])[+-]?0[xX][0-9a-fA-F]{8,}")
 _LEAST_SPREAD = 1e-4  # of the optical axes: below, the point at which they meet says nothing
 
 
@@ -53,21 +56,26 @@ def read_opencv(source: Path) -> Import:
         The file cannot be read, a matrix is not what it must be, or a picture is not there.
     """
     path = calibration_file(source)
-    storage = open_storage(path)  # kept while its nodes are used: they point into it
-    root = storage.root()
-    pictures = [item for item in sorted(path.parent.iterdir()) if item.suffix.lower() in SUFFIXES]
-    shared = _matrices(root, path.name)
-    shared = {name: shared[name] for name in ("K", "distortion") if name in shared}
-    found = []
-    for name, node in _nodes(root, path.name):
-        matrices = {"P": read_matrix(node, f"{path.name}: {name}")} if _is_matrix(node) \
-            else {**shared, **_matrices(node, f"{path.name}: {name}")}
-        if matrices.get("P", np.zeros(0)).shape == (3, 4) or {"K", "R", "t"} <= matrices.keys():
-            found.append((name, _picture(node, name, path, pictures), matrices))
+    with open_storage(path) as storage:
+        found = _found(storage.root(), path)
     if not found:
         raise ScanstageError(f"{path.name}: holds no 3x4 matrix and no K, R and t for a picture; "
                              "check that it is the right file")
     return assemble(_cameras(found, path.name))
+
+
+def _found(root: cv2.FileNode, path: Path) -> list[tuple[str, Path, dict[str, np.ndarray]]]:
+    """Return the name of each node that stands for a camera, its picture, and its matrices."""
+    pictures = pictures_in(path.parent)
+    shared = named_matrices(root, path.name)
+    shared = {name: shared[name] for name in ("K", "distortion") if name in shared}
+    found = []
+    for name, node in _nodes(root, path.name):
+        matrices = {"P": read_matrix(node, f"{path.name}: {name}")} if _is_matrix(node) \
+            else {**shared, **named_matrices(node, f"{path.name}: {name}")}
+        if matrices.get("P", np.zeros(0)).shape == (3, 4) or {"K", "R", "t"} <= matrices.keys():
+            found.append((name, _picture(node, name, path, pictures), matrices))
+    return found
 
 
 def calibration_file(source: Path) -> Path:
@@ -84,26 +92,30 @@ def calibration_file(source: Path) -> Path:
     if len(found) != 1:
         raise ScanstageError(f"{source}: holds {len(found)} XML, YAML or JSON files where one is needed; "
                              "give the file itself")
-    return found[0]
+    return own_file(source, found[0].name)
 
 
-def open_storage(path: Path) -> cv2.FileStorage:
-    """Open a file of OpenCV's FileStorage that nobody vouches for.
+@contextmanager
+def open_storage(path: Path) -> Iterator[cv2.FileStorage]:
+    """Open a file of OpenCV's FileStorage that nobody vouches for; its nodes are good for as long as it is open.
 
     Raises
     ------
     ScanstageError
-        It is none, or would overflow OpenCV's parsers.
+        It is none, or would overflow OpenCV's parsers, or (from within the block too) is damaged.
     """
     text = read_text(path)
     _refuse_nesting(text, path.name)
+    # Where a whole number does not fit 32 bits OpenCV 4.11 leaves too little room for it: what comes after it is read as anything,
+    # without an end. As a fraction it fits.
+    text = _LONG_NUMBER.sub(r"\g<0>.", text)
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-    except (cv2.error, SystemError):  # what OpenCV's constructor raises from Python is one wrapped in the other
-        storage = None
-    if storage is None or not storage.isOpened() or not storage.root().isMap():
-        raise ScanstageError(f"{path.name}: is not a file of OpenCV's FileStorage; check that it is the right file")
-    return storage
+        if not storage.isOpened() or not storage.root().isMap() or _LONG_HEXADECIMAL.search(text):
+            raise ScanstageError(f"{path.name}: is not a file of OpenCV's FileStorage; check that it is the right file")
+        yield storage
+    except (cv2.error, SystemError, UnicodeError):  # what OpenCV's constructor raises from Python is one wrapped in the other
+        raise ScanstageError(f"{path.name}: is not a file of OpenCV's FileStorage, or damaged; check that it is the right file") from None
 
 
 def _refuse_nesting(text: str, name: str) -> None:
@@ -152,7 +164,8 @@ def read_matrix(node: cv2.FileNode, place: str) -> np.ndarray:
     return value
 
 
-def _matrices(node: cv2.FileNode, place: str) -> dict[str, np.ndarray]:
+def named_matrices(node: cv2.FileNode, place: str) -> dict[str, np.ndarray]:
+    """Return those of P, K, distortion, R and t that a map holds, whichever of `NAMES` it calls them."""
     keys = set(node.keys())
     found = {}
     for name, spellings in NAMES.items():
@@ -191,7 +204,7 @@ def _cameras(found: list[tuple[str, Path, dict]], file: str) -> list[tuple[Path,
         place = f"{file}: {name}"
         size = checked_size(picture, place)
         cameras.append(_decomposed(matrices["P"], size, None, place) if "P" in matrices
-                       else _composed(matrices, size, place))
+                       else compose_camera(matrices, size, place))
     axes = np.array([camera.forward for camera in cameras])
     spread = np.linalg.eigvalsh(np.eye(3) - axes.T @ axes / len(axes))[0]
     if spread > _LEAST_SPREAD:
@@ -208,7 +221,14 @@ def _decomposed(P: np.ndarray, size: tuple[int, int], towards: np.ndarray | None
         raise ScanstageError(f"{place}: {error}; correct the calibration") from None
 
 
-def _composed(matrices: dict[str, np.ndarray], size: tuple[int, int], place: str) -> Camera:
+def compose_camera(matrices: dict[str, np.ndarray], size: tuple[int, int], place: str) -> Camera:
+    """Return the camera of K, R (or a Rodrigues vector), t and perhaps a distortion.
+
+    Raises
+    ------
+    ScanstageError
+        One of them is not what it must be.
+    """
     R = matrices["R"]
     if R.size == 3:
         R = cv2.Rodrigues(R.reshape(3))[0]

@@ -18,10 +18,9 @@ import numpy as np
 from ...errors import ScanstageError
 from ...reconstruction.active.patterns import LARGEST_SIDE, code_bits
 from ...reconstruction.geometry import Camera
-from ..picture_format import SUFFIXES
 from ..schema import Capture, Frame
 from .opencv import calibration_file, open_storage, read_matrix
-from .sources import Import, camera_from, checked_size, natural_key
+from .sources import Import, camera_from, checked_size, pictures_in
 
 _CAMERA, _PROJECTOR = "camera", "projector"
 
@@ -40,15 +39,14 @@ def read_slstudio(source: Path) -> Import:
         The file cannot be read, a matrix is not what it must be, or there are too few or too many frames.
     """
     path = calibration_file(source)
-    storage = open_storage(path)  # kept while its nodes are used: they point into it
-    frames = sorted((item for item in path.parent.iterdir() if item.suffix.lower() in SUFFIXES), key=lambda item: natural_key(item.name))
-    screen = tuple(_whole(storage.getNode(name), f"{path.name}: {name}") for name in ("screenResX", "screenResY"))
-    names = _patterns(len(frames), screen[0], path)
+    frames = pictures_in(path.parent)
     size = checked_size(frames[0], path.name)
-    still = np.eye(3), np.zeros(3)
-    camera = _device(storage, path, "Kc", "kc", size, still)
-    pose = _matrix(storage, path, "Rp", (3, 3)), _matrix(storage, path, "Tp", (3, 1))[:, 0]
-    projector = _device(storage, path, "Kp", "kp", screen, pose)
+    with open_storage(path) as storage:
+        screen = tuple(_whole(storage.getNode(name), f"{path.name}: {name}") for name in ("screenResX", "screenResY"))
+        names = _patterns(len(frames), screen[0], path)
+        camera = _device(storage, path, "Kc", "kc", size, (np.eye(3), np.zeros(3)))
+        pose = _matrix(storage, path, "Rp", (3, 3)), _matrix(storage, path, "Tp", (3, 1))[:, 0]
+        projector = _device(storage, path, "Kp", "kp", screen, pose)
     pictures = {f"images/{frame.name}": frame for frame in frames}
     shots = tuple(Frame(f"{number:04d}", relative, _CAMERA, pattern=id)
                   for number, (relative, id) in enumerate(zip(pictures, names, strict=True)))

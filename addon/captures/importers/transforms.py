@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from ..fields import Field, parse_json
 from ..files import read_bytes
 from ..picture_format import SUFFIXES
 from .colmap import HALF_PIXEL
-from .sources import MAX_CALIBRATION_BYTES, Import, assemble, camera_from, checked_size
+from .sources import MAX_CALIBRATION_BYTES, Import, assemble, camera_from, checked_size, find_below, own_file
 
 FILE = "transforms.json"
 AXES = np.diag((1.0, -1.0, -1.0))
@@ -45,7 +45,7 @@ def read_transforms(source: Path) -> Import:
     ScanstageError
         The file cannot be read, a field of it cannot be used, or a picture is not there.
     """
-    names = [source] if source.is_file() else [source / FILE, source / "transforms_train.json"]
+    names = [source] if source.is_file() else [own_file(source, name) for name in (FILE, "transforms_train.json")]
     path = next((name for name in names if name.is_file()), None)
     if path is None:
         raise ScanstageError(f"{source}: holds no {FILE}; give the file")
@@ -117,13 +117,9 @@ def _lens(given: dict[str, Field], size: tuple[int, int], item: Field) -> tuple[
 
 def _file(folder: Path, item: Field) -> Path:
     name = item.value
-    if not isinstance(name, str) or not name or "\0" in name or "\\" in name:
+    if not isinstance(name, str) or not name:
         raise item.error("must be the path of a picture; correct it")
-    relative = PurePosixPath(name)
-    if relative.is_absolute() or ".." in relative.parts:
-        raise item.error(f"{name[:100]!r} leaves the file's folder; put the picture below it")
-    for ending in ("", *SUFFIXES):
-        path = folder / f"{name}{ending}"
-        if path.is_file() and path.resolve().is_relative_to(folder.resolve()):
-            return path.resolve()
-    raise item.error(f"the picture {name[:100]!r} is not there; put it below the file's folder")
+    found = find_below(folder, name, f"{item.source}: {item.path}", ("", *SUFFIXES))
+    if found is None:
+        raise item.error(f"the picture {name[:100]!r} is not there; put it below the file's folder")
+    return found

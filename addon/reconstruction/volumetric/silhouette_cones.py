@@ -16,17 +16,15 @@ import numpy as np
 
 from ...errors import ScanstageError
 from ..contours import crossing, simplify, trace_outlines
-from ..geometry import Camera, distort
+from ..geometry import Camera
 from ..mesh import PolygonMesh
 from ..scan import View
-from ..undistortion import injective_radius
+from ..undistortion import undistort_pixels
 
 SURE_TOLERANCE = 0.29
 """Pixels by which an outline traced round a mask of `silhouettes.cover_partial_pixels` may be off and still hold the object."""
 _NEAREST = 1e-3  # of the farthest depth: where a cone begins whose camera is inside the volume
 _BEYOND = 1.01  # by which a cone is longer, or begins sooner, than what it has to cut
-_SAME_PIXEL = 1e-2  # px; a lens is inverted where going back through it returns this near
-_ITERATIONS = cv2.TermCriteria_COUNT + cv2.TermCriteria_EPS, 50, 1e-10
 
 
 @dataclass(frozen=True)
@@ -183,7 +181,7 @@ def _known(camera: Camera, rim: int) -> np.ndarray:
     known[rim:height - rim, rim:width - rim] = True
     if camera.distorted:
         pixels = np.stack(np.meshgrid(np.arange(-1.0, width + 1), np.arange(-1.0, height + 1)), axis=-1).reshape(-1, 2)
-        inverted = _undistort(pixels, camera)[1].reshape(height + 2, width + 2).astype(np.uint8)
+        inverted = undistort_pixels(pixels, camera)[1].reshape(height + 2, width + 2).astype(np.uint8)
         known &= cv2.erode(inverted, np.ones((3, 3), np.uint8))[1:-1, 1:-1].astype(bool)  # outlines go half a pixel beyond
     return known
 
@@ -192,20 +190,9 @@ def _undistorted(loop: np.ndarray, view: View) -> np.ndarray:
     """Return a loop (n, 2) of the real picture in the ideal one."""
     if not view.camera.distorted:
         return loop
-    ideal, inverted = _undistort(loop, view.camera)
+    ideal, inverted = undistort_pixels(loop, view.camera)
     if not inverted.all():
         x, y = loop[inverted.argmin()]
         raise ScanstageError(f"frame {view.name}: the lens distortion cannot be inverted at pixel ({x:.1f}, {y:.1f}); check its "
                              "coefficients")
     return ideal
-
-
-def _undistort(pixels: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ideal positions (n, 2) of real pixels (n, 2), and whether the lens leads back from each to where it began."""
-    linear, offset = camera.K[:2, :2], camera.K[:2, 2]
-    real = (pixels - offset) @ np.linalg.inv(linear).T
-    rays = cv2.undistortPointsIter(real[:, None], np.eye(3), camera.distortion, None, None, _ITERATIONS)[:, 0]
-    with np.errstate(over="ignore", invalid="ignore"):
-        missed = np.linalg.norm((distort(rays, camera.distortion) - real) @ linear.T, axis=1)
-        inverted = (missed < _SAME_PIXEL) & (np.linalg.norm(rays, axis=1) <= injective_radius(camera))
-    return np.where(inverted[:, None], rays, 0) @ linear.T + offset, inverted

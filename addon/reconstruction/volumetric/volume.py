@@ -51,6 +51,12 @@ class SparseVolume:
         return cls.from_slabs(grid, (occupancy[x:x + BRICK] for x in range(0, grid.shape[0], BRICK)))
 
     @classmethod
+    def from_voxels(cls, grid: VoxelGrid, voxels: np.ndarray) -> SparseVolume:
+        """Store the voxels with the (n, 3) integer indices, each given at most once."""
+        nothing = cls(grid, np.full(brick_counts(grid), EMPTY, np.int32), np.zeros((0, BRICK, BRICK, BRICK), bool))
+        return nothing.updated(voxels, np.ones(len(voxels), bool))
+
+    @classmethod
     def from_slabs(cls, grid: VoxelGrid, slabs: Iterator[np.ndarray]) -> SparseVolume:
         """Store consecutive slabs of 8 layers in x (the last may be thinner), without ever holding the whole array."""
         bx, by, bz = brick_counts(grid)

@@ -9,21 +9,24 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 
 from ...captures.exporters import EXPORTERS, export_capture
-from ...captures.importers import IMPORTERS, import_capture
+from ...captures.importers import COMMON_OPTIONS, IMPORTERS, import_capture
 from ...captures.scan import load_scan
 from ...captures.store import read_capture
 from ...errors import ScanstageError
 from ...reconstruction.shadows import SHADOW_OPTIONS
 from ...reconstruction.silhouettes import SILHOUETTE_OPTIONS
 from ...render.capture import capture_frames
+from ...results.cameras import show_cameras
 from ..jobs import Job, idle, in_thread
 from ..masks import show_masks, show_shadows
 from ..properties import values_of
 from .requirements import capture_folder, has_captures, has_stage
+
+_COMMON = {option.name: option for option in COMMON_OPTIONS}
 
 
 class SCANSTAGE_OT_capture(Job, bpy.types.Operator):
@@ -64,7 +67,9 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
     bl_options = {'REGISTER'}
 
     format: EnumProperty(name="Format", items=[(name, entry.label, entry.description) for name, entry in IMPORTERS.items()])
-    filter_glob: StringProperty(default="*.xml;*.yml;*.yaml;*.json;*.txt", options={'HIDDEN'})
+    filter_glob: StringProperty(default="*.xml;*.yml;*.yaml;*.json;*.txt;*.m", options={'HIDDEN'})
+    masks: StringProperty(name="Masks", description=_COMMON["masks"].description)
+    undistort: BoolProperty(name="Undistort", description=_COMMON["undistort"].description)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -78,7 +83,8 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
         settings = context.scene.scanstage
         folder = capture_folder(context.scene)
-        yield from in_thread(import_capture, self.format, Path(self.filepath), folder)
+        options = {"masks": self.masks, "undistort": self.undistort}
+        yield from in_thread(import_capture, self.format, Path(self.filepath), folder, options)
         note_capture(settings, folder)
 
 
@@ -102,6 +108,28 @@ class SCANSTAGE_OT_export_capture(bpy.types.Operator, ExportHelper):
             self.report({'ERROR'}, str(error))
             return {'CANCELLED'}
         self.report({'INFO'}, f"{count} pictures in {self.filepath}")
+        return {'FINISHED'}
+
+
+class SCANSTAGE_OT_show_cameras(bpy.types.Operator):
+    """Put the captures' cameras into the scene, each with its picture behind it; a result that is shown then stands among them"""
+
+    bl_idname = "scanstage.show_cameras"
+    bl_label = "Show Cameras"
+    bl_options = {'REGISTER', 'UNDO'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return has_captures(cls, context) and idle(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            warnings = show_cameras(context.scene, capture_folder(context.scene))
+        except ScanstageError as error:
+            self.report({'ERROR'}, str(error))
+            return {'CANCELLED'}
+        for warning in warnings:
+            self.report({'WARNING'}, warning)
         return {'FINISHED'}
 
 
@@ -177,5 +205,5 @@ def _counted(folder: Path) -> tuple[int, int, int]:
     return len(sizes), len(capture.frames), sum(width * height for width, height in sizes)
 
 
-CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_test_frame, SCANSTAGE_OT_import, SCANSTAGE_OT_export_capture, SCANSTAGE_OT_show_masks,
-           SCANSTAGE_OT_show_shadows)
+CLASSES = (SCANSTAGE_OT_capture, SCANSTAGE_OT_test_frame, SCANSTAGE_OT_import, SCANSTAGE_OT_export_capture, SCANSTAGE_OT_show_cameras,
+           SCANSTAGE_OT_show_masks, SCANSTAGE_OT_show_shadows)

@@ -17,7 +17,7 @@ from ...errors import ScanstageError
 from ...reconstruction.methods import COMMON_COUNTS, METHODS
 from ...results import folder as results
 from ...results.booleans import solver
-from ...results.export import export_result
+from ...results.export import FORMATS, export_result
 from ...results.pictures import picture_files, show_pictures
 from ...results.present import show_result
 from ..jobs import Job, MainThread, idle, in_thread
@@ -111,14 +111,14 @@ class SCANSTAGE_OT_show_pictures(bpy.types.Operator):
 
 
 class SCANSTAGE_OT_export(ExportHelper, bpy.types.Operator):
-    """Write the result's voxel mesh as a file for other programs"""
+    """Write the result's mesh or voxels as a file for other programs; its ending chooses the format"""
 
     bl_idname = "scanstage.export_mesh"
     bl_label = "Export Mesh"
 
     filename_ext = ""
     check_extension = None  # the name's own ending chooses the format
-    filter_glob: StringProperty(default="*.ply;*.obj;*.stl;*.glb;*.vox;*.blend", options={'HIDDEN'})
+    filter_glob: StringProperty(default=";".join(f"*{ending}" for ending in FORMATS), options={'HIDDEN'})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
