@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 import bpy
+import numpy as np
 
 from ..errors import ScanstageError
 from . import scene_settings
@@ -27,9 +28,12 @@ _OVERRIDES = "scanstage_material_overrides_before"
 _MARKERS = "scanstage_marker_cameras_before"
 _ACTION = "scanstage_action_before"
 _HIDDEN = "scanstage_hidden"
+_IN_THE_WAY = "scanstage_in_the_way"
 _ROLE = "scanstage_role"
 _DEVICE = "scanstage_device"
 _CONSTRAINT = "Scanstage Turntable"
+_SOLID = ("MESH", "CURVE", "SURFACE", "FONT", "META")
+_TOUCH = 1e-3  # of the object's size
 # What staging and Blender's importers make. Shape keys go with their mesh and cannot be removed by themselves.
 _KINDS = ("objects", "meshes", "curves", "metaballs", "armatures", "cameras", "lights", "materials", "textures",
           "images", "node_groups", "actions", "worlds", "collections", "texts", "fonts", "particles", "speakers")
@@ -178,6 +182,27 @@ def hide_from_render(scene: bpy.types.Scene, stage: bpy.types.Collection, keep: 
             other[_HIDDEN] = stage
 
 
+def hide_in_the_way(stage: bpy.types.Collection, staged: Iterable[bpy.types.Object]) -> None:
+    """Hide from the viewport what stands where the staged objects do, as Blender's first cube would swallow a built-in object."""
+    ours, boxes = set(stage.all_objects), [_box(member) for member in staged if member.type in _SOLID]
+    if not boxes:
+        return
+    lower, upper = np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)
+    lower = lower + _TOUCH * (upper - lower)  # the floor on which it stands is not in its way
+    for other in bpy.context.view_layer.objects:
+        if other.type in _SOLID and other not in ours and other.visible_get():
+            low, high = _box(other)
+            if (high > lower).all() and (low < upper).all():
+                other.hide_set(True)
+                other[_IN_THE_WAY] = stage
+
+
+def _box(member: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    world = np.array(member.matrix_world)
+    corners = np.array(member.bound_box) @ world[:3, :3].T + world[:3, 3]
+    return corners.min(axis=0), corners.max(axis=0)
+
+
 def remove_stage(scene: bpy.types.Scene) -> None:
     """Take the scene's stage away, if it has one: everything is as it was before, and nothing is left over."""
     stage = find_stage(scene)
@@ -203,6 +228,10 @@ def _show_hidden(stage: bpy.types.Collection | None) -> None:
         if _HIDDEN in other and other[_HIDDEN] == stage:
             other.hide_render = False
             del other[_HIDDEN]
+        if _IN_THE_WAY in other and other[_IN_THE_WAY] == stage:
+            del other[_IN_THE_WAY]
+            if other.name in bpy.context.view_layer.objects:
+                other.hide_set(False)
 
 
 def _restore_scene(scene: bpy.types.Scene, stage: bpy.types.Collection) -> None:

@@ -21,6 +21,7 @@ from .projection import pattern_of
 from .projector import border_rays, is_projector
 from .readback import camera_of, light_of, projector_of, rigid_motion, staged_objects, turntable_of
 from .timeline import light_is_on
+from .units import length_text
 
 CAMERA, VIEW, PROJECTOR, LIGHT, LASER, SHADOW = "camera", "view", "projector", "light", "laser", "shadow"
 VOLUME, TURNTABLE = "volume", "turntable"
@@ -106,7 +107,7 @@ def sketch_volume(scene: bpy.types.Scene, grid: VoxelGrid) -> Iterator[Sketch]:
             row[:, :, across] = 1 + np.arange(count[across])[:, None]
             row[:, 1, along] = count[along]
             rows.append(lower + grid.voxel_size * row)
-    size = bpy.utils.units.to_string('METRIC', 'LENGTH', grid.voxel_size, precision=3, split_unit=False)
+    size = length_text(scene, grid.voxel_size)
     for lines, label, active in ((box[edges], "", True), (np.concatenate(rows), f"voxel {size}", False)):
         lines = lines @ motion[:3, :3].T + motion[:3, 3]
         yield Sketch(VOLUME, lines, label=label, anchor=motion[:3, :3] @ lower + motion[:3, 3], active=active)

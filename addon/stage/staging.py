@@ -62,6 +62,8 @@ def build(scene: bpy.types.Scene, preset_name: str, subject: str | Path | bpy.ty
         ownership.remove_stage(scene)
         raise
     scene.frame_set(scene.frame_start)
+    if not found.existing:
+        ownership.hide_in_the_way(stage, staged_objects(scene))
     return stage
 
 

@@ -28,7 +28,7 @@ def reconstruction_cost(settings: bpy.types.PropertyGroup) -> list[str]:
             return [f"! {error}"]
     need, there = memory_for(shape, int(settings.capture_pixels)), available_memory()
     return [f"{' x '.join(map(str, shape))} voxels at most",
-            f"{'! ' if need > there else ''}{amount(need)} of memory at most, {amount(there)} are free"]
+            f"{'! ' if need > there else ''}{amount(need)} of memory, {amount(there)} free"]
 
 
 def duration(seconds: float) -> str:

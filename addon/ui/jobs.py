@@ -132,7 +132,7 @@ class Job:
         """Start, and let a timer take the steps."""
         self._steps = self.steps(context)
         job = context.window_manager.scanstage_job
-        job.running, job.title, job.fraction, job.message = True, self.bl_label, 0.0, "Starting"
+        job.running, job.stop, job.operator, job.fraction, job.message = True, False, type(self).bl_idname, 0.0, "Starting"
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set(f"{self.bl_label}: press Esc to stop")
@@ -140,7 +140,8 @@ class Job:
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Take one step, or stop."""
-        if event.type == 'ESC' and event.value == 'PRESS':
+        job = context.window_manager.scanstage_job
+        if job.stop or (event.type == 'ESC' and event.value == 'PRESS'):
             self.cancel(context)
             self.report({'INFO'}, f"{self.bl_label} stopped; what is whole on disk stays")
             return {'CANCELLED'}
@@ -159,7 +160,6 @@ class Job:
         except BaseException:
             self._finish(context)
             raise
-        job = context.window_manager.scanstage_job
         job.fraction, job.message = fraction, message
         context.workspace.status_text_set(f"{self.bl_label}: {100 * fraction:.0f} %, {message} - press Esc to stop")
         _redraw(context)
@@ -177,8 +177,27 @@ class Job:
         _redraw(context)
 
 
+class SCANSTAGE_OT_stop(bpy.types.Operator):
+    """Stop what runs; what is whole on disk stays"""
+
+    bl_idname = "scanstage.stop"
+    bl_label = "Stop Scanstage Job"
+    bl_options = {'INTERNAL'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.window_manager.scanstage_job.running
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        context.window_manager.scanstage_job.stop = True
+        return {'FINISHED'}
+
+
 def _redraw(context: bpy.types.Context) -> None:
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == 'VIEW_3D':
                 area.tag_redraw()
+
+
+register, unregister = bpy.utils.register_classes_factory((SCANSTAGE_OT_stop,))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import blf
 import bpy
@@ -22,6 +23,7 @@ from mathutils import Matrix
 
 from ..errors import ScanstageError
 from ..stage import ownership, readback, sketch
+from ..stage.units import length_text
 from . import watching
 from .coverage import Legend, colors_of, shaded
 
@@ -218,16 +220,16 @@ def _refresh(scene: bpy.types.Scene, settings: bpy.types.PropertyGroup) -> None:
     key = watching.watched.version, settings.coverage, settings.hull_opacity, settings.live_hull
     if _drawn.surface_key != key:
         _drawn.surface_key = key
-        _drawn.coverage, _drawn.legend = _coverage_batch(settings.coverage)
+        _drawn.coverage, _drawn.legend = _coverage_batch(scene, settings.coverage)
         _drawn.hull = _hull_batch(settings.hull_opacity) if settings.live_hull else None
 
 
-def _coverage_batch(shown: str) -> tuple[gpu.types.GPUBatch | None, Legend | None]:
+def _coverage_batch(scene: bpy.types.Scene, shown: str) -> tuple[gpu.types.GPUBatch | None, Legend | None]:
     found = watching.watched.coverage
     if found is None or shown == 'NONE':
         return None, None
     surveyor = watching.watched.surveyor
-    colors, legend = colors_of(found, shown, length_text)
+    colors, legend = colors_of(found, shown, partial(length_text, scene))
     return _batch('SMOOTH_COLOR', 'TRIS', surveyor.corners, np.repeat(shaded(colors, surveyor.normals), 3, axis=0), 1.0), legend
 
 
@@ -247,14 +249,6 @@ def _batch(shader: str, kind: str, points: np.ndarray, colors: np.ndarray | None
     if colors is not None:
         content["color"] = np.column_stack((colors, np.full(len(colors), alpha))).astype(np.float32)
     return batch_for_shader(gpu.shader.from_builtin(shader), kind, content)
-
-
-def length_text(value: float) -> str:
-    """Return a length, given in metres, in three digits of a unit that suits it."""
-    for unit, size in (("m", 1.0), ("mm", 1e-3), ("\u00b5m", 1e-6)):
-        if value >= size or size == 1e-6:
-            return f"{value / size:.3g} {unit}"
-    return ""
 
 
 @contextmanager

@@ -129,7 +129,8 @@ class SCANSTAGE_PG_job(bpy.types.PropertyGroup):
     """The job that runs, for the panels to show."""
 
     running: BoolProperty()
-    title: StringProperty()
+    stop: BoolProperty()
+    operator: StringProperty()
     fraction: FloatProperty(min=0.0, max=1.0)
     message: StringProperty()
 
