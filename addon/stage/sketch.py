@@ -15,6 +15,7 @@ from ..errors import ScanstageError
 from ..reconstruction.geometry import Camera, VoxelGrid
 from ..reconstruction.planning.coverage import Shot
 from . import ownership
+from .extents import box_of
 from .laser import LASER as LASER_NODE
 from .laser import is_laser, plane_of
 from .projection import pattern_of
@@ -152,11 +153,10 @@ def _lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 def _object_place(scene: bpy.types.Scene) -> tuple[np.ndarray, float]:
     """Return the middle (3,) of the staged object in the world, and half the diagonal of its box."""
-    corners = [np.array(o.matrix_world) @ (*corner, 1) for o in staged_objects(scene) if o.type == "MESH" for corner in o.bound_box]
-    if not corners:
+    box = box_of(staged_objects(scene))
+    if box is None:
         return np.array(turntable_of(scene).matrix_world.translation), 0.1
-    corners = np.array(corners)[:, :3]
-    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    lower, upper = box
     return (lower + upper) / 2, float(np.linalg.norm(upper - lower)) / 2
 
 

@@ -52,7 +52,11 @@ class SCANSTAGE_PT_stage(_Panel, bpy.types.Panel):
         row.prop(settings, "preset")
         row.popover(gallery.SCANSTAGE_PT_gallery.__name__, text="", icon='IMGDISPLAY')
         layout.prop(settings, "source")
-        layout.prop(settings, {'BUILTIN': "builtin", 'SCENE': "subject", 'FILE': "file"}[settings.source])
+        if settings.source == 'SELECTION':
+            count = len(operators.stage.chosen_objects(context))
+            _draw_state(layout, f"{count} object{'s' * (count != 1)} chosen")
+        else:
+            layout.prop(settings, {'BUILTIN': "builtin", 'SCENE': "subject", 'FILE': "file"}[settings.source])
         _draw_rig(layout, settings)
         row = layout.row(align=True)
         row.operator(operators.stage.SCANSTAGE_OT_stage.bl_idname, icon='SCENE_DATA')

@@ -11,6 +11,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..results.studio import BACK, RIGHT, UP
+from ..stage.extents import corners_of
 from ..stage.ownership import require_stage
 
 _FULL = 72.0  # millimetres that a view's longer side spans at the distance of its focal length
@@ -20,7 +21,7 @@ _MARGIN = 0.92  # of what is free, that is filled
 def frame_stage(context: bpy.types.Context) -> None:
     """Turn the view that was clicked in towards the whole stage."""
     if _can_turn(context):
-        _frame(context, _corners(require_stage(context.scene).all_objects))
+        _frame(context, corners_of(require_stage(context.scene).all_objects))
 
 
 def frame_shown(context: bpy.types.Context, shown: Iterable[bpy.types.Object], *, from_front: bool = False) -> None:
@@ -36,7 +37,7 @@ def frame_shown(context: bpy.types.Context, shown: Iterable[bpy.types.Object], *
     if not shown or not _can_turn(context):
         return
     context.view_layer.update()
-    corners, view = _corners(shown), context.space_data.region_3d
+    corners, view = corners_of(shown), context.space_data.region_3d
     if from_front:
         view.view_rotation = Matrix(np.stack((RIGHT, UP, BACK), axis=1).tolist()).to_quaternion()
     elif _is_seen(context, corners):
@@ -134,15 +135,3 @@ def _is_seen(context: bpy.types.Context, corners: np.ndarray) -> bool:
     with np.errstate(divide="ignore", invalid="ignore"):
         at = local[:, :2] / -local[:, 2:]
     return bool(((local[:, 2] < 0)[:, None] & (at >= tangents[:, 0]) & (at <= tangents[:, 1])).all())
-
-
-def _corners(members: Iterable[bpy.types.Object]) -> np.ndarray:
-    """Return the corners (n, 3) of objects' boxes in the world; devices count with their place alone."""
-    found = []
-    for member in members:
-        world = np.array(member.matrix_world)
-        if member.type in ('CAMERA', 'LIGHT', 'EMPTY'):
-            found.append(world[None, :3, 3])
-        else:
-            found.append(np.array(member.bound_box) @ world[:3, :3].T + world[:3, 3])
-    return np.concatenate(found)

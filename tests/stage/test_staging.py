@@ -126,7 +126,11 @@ def test_what_would_swallow_a_built_in_object_is_hidden_from_view_meanwhile(empt
         staging.build(empty_scene, "turntable", "knot", {"views": 2})
         assert not cube.visible_get() and floor.visible_get()
     staging.remove(empty_scene)
-    assert cube.visible_get() and not cube.keys()
+    assert cube.visible_get() and not cube.keys() and not cube.select_get() and floor.select_get()
+    cube.select_set(True)
+    staging.build(empty_scene, "turntable", "knot", {"views": 2})
+    staging.remove(empty_scene)
+    assert cube.select_get()
     staging.build(empty_scene, "turntable", cube, {"views": 2})
     assert cube.visible_get()
 
