@@ -20,7 +20,7 @@ from pathlib import Path
 
 WALK = Path(__file__).resolve().with_name("window_walk.py")
 SIZE = ("1280", "960")
-_MOST = 240  # seconds that a walk may take
+_MOST = 600  # seconds that a walk may take
 
 
 def blender_command() -> list[str] | None:
@@ -29,13 +29,13 @@ def blender_command() -> list[str] | None:
     return command or None
 
 
-def photograph(command: list[str], extension: Path, out: Path) -> tuple[dict, str]:
-    """Install an extension into a Blender without any other and walk through it.
+def photograph(command: list[str], extension: Path, out: Path, walk: Path = WALK) -> tuple[dict, str]:
+    """Install an extension into a Blender without any other and walk through it; events are those that ``walk`` simulates.
 
     Returns
     -------
     found : dict
-        What `window_walk` found; empty if Blender ended before it did.
+        What the walk found; empty if Blender ended before it did.
     log : str
         All that Blender wrote, errors of panels among it.
     """
@@ -48,7 +48,7 @@ def photograph(command: list[str], extension: Path, out: Path) -> tuple[dict, st
     window = command if has_display else ["xvfb-run", "-a", "-s", f"-screen 0 {'x'.join(SIZE)}x24 +extension GLX", *command]
     log = ""
     for call in ([*command, "--background", "--command", "extension", "install-file", "-r", "user_default", "-e", str(extension.resolve())],
-                 [*window, "--window-geometry", "0", "0", *SIZE, "--python", str(WALK), "--", str(out)]):
+                 [*window, "--enable-event-simulate", "--window-geometry", "0", "0", *SIZE, "--python", str(walk), "--", str(out)]):
         done = subprocess.run(call, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=_MOST,
                               check=False)
         log += done.stdout

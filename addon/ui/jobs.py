@@ -15,10 +15,20 @@ from concurrent.futures import Future
 from queue import Empty, SimpleQueue
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..errors import Cancelled, ScanstageError
 
 _TICK = 0.05  # seconds
+
+
+class _Running:
+    """The steps of the job that runs in the window, if one does."""
+
+    steps: Iterator[tuple[float, str]] | None = None
+
+
+_running = _Running()
 
 
 class MainThread:
@@ -130,7 +140,7 @@ class Job:
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Start, and let a timer take the steps."""
-        self._steps = self.steps(context)
+        self._steps = _running.steps = self.steps(context)
         job = context.window_manager.scanstage_job
         job.running, job.stop, job.operator, job.fraction, job.message = True, False, type(self).bl_idname, 0.0, "Starting"
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
@@ -167,14 +177,33 @@ class Job:
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Stop: the generator puts the scene back as it was. Blender calls this too, when the window or file goes."""
-        self._steps.close()
-        self._finish(context)
+        try:
+            self._steps.close()
+        finally:
+            self._finish(context)
 
     def _finish(self, context: bpy.types.Context) -> None:
+        _running.steps = None
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.scanstage_job.running = False
-        context.workspace.status_text_set(None)
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
         _redraw(context)
+
+
+@persistent
+def _before_all_changes(*_) -> None:
+    """Stop what runs before undo, or another file, puts other data in the place of all that it holds on to."""
+    if _running.steps is not None:
+        _running.steps.close()
+        bpy.context.window_manager.scanstage_job.stop = True
+
+
+@persistent
+def _after_load(*_) -> None:
+    """Forget the job of whoever saved the file while it ran."""
+    if _running.steps is None:
+        bpy.context.window_manager.scanstage_job.running = False
 
 
 class SCANSTAGE_OT_stop(bpy.types.Operator):
@@ -200,4 +229,20 @@ def _redraw(context: bpy.types.Context) -> None:
                 area.tag_redraw()
 
 
-register, unregister = bpy.utils.register_classes_factory((SCANSTAGE_OT_stop,))
+_HANDLERS = (("undo_pre", _before_all_changes), ("redo_pre", _before_all_changes), ("load_pre", _before_all_changes),
+             ("load_post", _after_load))
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory((SCANSTAGE_OT_stop,))
+
+
+def register() -> None:
+    """Register the operator, and watch for undo and other files."""
+    _register_classes()
+    for name, handler in _HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    for name, handler in _HANDLERS:
+        getattr(bpy.app.handlers, name).remove(handler)
+    _unregister_classes()
