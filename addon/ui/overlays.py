@@ -187,15 +187,19 @@ def _draw_legend(context: bpy.types.Context, legend: Legend) -> None:
     edge, row, swatch, width = _EDGE * scale, _ROW * scale, _SWATCH * scale, _LEGEND_WIDTH * scale
     tools = next((region.width for region in context.area.regions if region.type == 'TOOLS'), 0)
     blf.size(0, _TEXT * scale)
-    width = max(width, blf.dimensions(0, legend.title)[0] + 2 * edge)
+    width = max(width, *(blf.dimensions(0, text)[0] + 2 * edge for text in (legend.title, legend.note)))
     x, y = tools + edge, edge
-    height = (len(legend.entries) + 1.4) * row + edge / 2
+    height = (len(legend.entries) + 1.4 + bool(legend.note)) * row + edge / 2
     _fill(x, y, width, height, _PLATE)
     top = y + height - row
     blf.color(0, *_INK)
     blf.position(0, x + edge / 2, top, 0)
     blf.draw(0, legend.title)
     blf.size(0, _SMALL * scale)
+    if legend.note:
+        top -= row
+        blf.position(0, x + edge / 2, top, 0)
+        blf.draw(0, legend.note)
     for color, text in legend.entries:
         top -= row
         _fill(x + edge / 2, top - 0.2 * swatch, swatch * 1.6, swatch, (*color, 1.0))

@@ -43,7 +43,7 @@ class SCANSTAGE_PG_view(bpy.types.PropertyGroup):
     coverage: EnumProperty(name="Coverage", description="What the colours of the object's surface say", items=SHOWN, update=_changed,
                            options={'SKIP_SAVE'})
     pixel_error: FloatProperty(name="Pixel Error", description="How well a position in a picture is found, as a standard deviation in "
-                               "pixels: about 0.1 for a stripe, 0.5 for a match of pictures", default=PIXEL_ERROR, min=0.001,
+                               "pixels: about 0.1 for a stripe, 0.2 for textured pictures that are matched", default=PIXEL_ERROR, min=0.001,
                                soft_max=2.0, max=100.0, precision=2, update=_changed, options={'SKIP_SAVE'})
     live_hull: _switch("Live Hull", "Show the visual hull that the rig would carve, and let it follow while you move the cameras or change "
                        "the number of views", False)

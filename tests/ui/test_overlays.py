@@ -290,6 +290,8 @@ def test_counts_have_colours_of_their_own_and_amounts_a_ramp():
     colors, legend = coverage.colors_of(made(depth_error=np.array([1e-4, 2e-4, 3e-4, np.inf])), 'ERROR', partial(length_text, bpy.context.scene))
     assert (colors[3] == coverage.NEVER).all() and legend.entries[0][1] == "no depth" and legend.entries[1][1] == "110 \u00b5m and less"
     assert colors[0].sum() > colors[1].sum() > colors[2].sum()  # the better, the brighter
+    passive = coverage.colors_of(made(depth_error=np.ones(4), active=False), 'ERROR', str)[1]
+    assert "light" in legend.note and "textured" in passive.note  # what each assumes
     assert len(coverage.colors_of(made(), 'PIXELS', str)[1].entries) == 1
 
 
