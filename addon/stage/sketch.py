@@ -70,7 +70,7 @@ def sketch_devices(scene: bpy.types.Scene) -> Iterator[Sketch]:
     ScanstageError
         The scene has no stage.
     """
-    middle, size = _object_place(scene)
+    middle, size = object_place(scene)
     for device in sorted(scene.objects, key=lambda o: o.name):
         if device.type not in ("CAMERA", "LIGHT") or device.hide_render:
             continue
@@ -87,7 +87,7 @@ def sketch_devices(scene: bpy.types.Scene) -> Iterator[Sketch]:
 def sketch_views(scene: bpy.types.Scene, shots: Sequence[Shot]) -> Iterator[Sketch]:
     """Yield a small pyramid for every view of the plan, where it stands about the object's present pose."""
     motion = rigid_motion(turntable_of(scene))
-    middle = _object_place(scene)[0]
+    middle = object_place(scene)[0]
     for shot in shots:
         camera = shot.camera.moved(np.linalg.inv(motion))
         depth = _VIEW_SIZE * float(np.linalg.norm(camera.centre - middle))
@@ -124,7 +124,7 @@ def sketch_turntable(scene: bpy.types.Scene, stops: np.ndarray) -> Sketch:
         Where the object frame stands in the world at each.
     """
     table = turntable_of(scene)
-    motion, height, radius = rigid_motion(table), 2 * _object_place(scene)[1], table.empty_display_size
+    motion, height, radius = rigid_motion(table), 2 * object_place(scene)[1], table.empty_display_size
     centre, turned, axis = motion[:3, 3], motion[:3, :3], motion[:3, 2]
     angles = np.linspace(0, 2 * math.pi, _CIRCLE, endpoint=False)
     rim = np.column_stack((np.cos(angles), np.sin(angles), 0 * angles)) @ turned.T
@@ -151,7 +151,7 @@ def _lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [o for o in scene.objects if o.type == "LIGHT" and not o.hide_render and not is_projector(o) and not is_laser(o)]
 
 
-def _object_place(scene: bpy.types.Scene) -> tuple[np.ndarray, float]:
+def object_place(scene: bpy.types.Scene) -> tuple[np.ndarray, float]:
     """Return the middle (3,) of the staged object in the world, and half the diagonal of its box."""
     box = box_of(staged_objects(scene))
     if box is None:
@@ -160,11 +160,15 @@ def _object_place(scene: bpy.types.Scene) -> tuple[np.ndarray, float]:
     return (lower + upper) / 2, float(np.linalg.norm(upper - lower)) / 2
 
 
+def reach_of(device: Camera, middle: np.ndarray) -> float:
+    """Return the depth at which a device's frustum ends: that of the object's middle."""
+    depth = float(device.project(middle)[1])
+    return depth if depth > 0 else float(np.linalg.norm(middle - device.centre))
+
+
 def _frustum(kind: str, device: Camera, middle: np.ndarray, name: str, active: bool) -> Sketch:
     """Return the pyramid of what a device sees or lights, as far as the object's middle; a projector's picture is filled there."""
-    depth = float(device.project(middle)[1])
-    depth = depth if depth > 0 else float(np.linalg.norm(middle - device.centre))
-    rim = device.centre + depth * border_rays(device)
+    rim = device.centre + reach_of(device, middle) * border_rays(device)
     picture = np.stack((np.broadcast_to(rim.mean(axis=0), rim.shape), rim, np.roll(rim, -1, axis=0)), axis=1)
     lines = [_loop(rim), _spokes(device.centre, rim[::16])]
     return Sketch(kind, np.concatenate(lines), picture if kind == PROJECTOR else np.zeros((0, 3, 3)), name, device.centre, active)

@@ -23,6 +23,7 @@ from mathutils import Matrix
 
 from ..errors import ScanstageError
 from ..stage import ownership, readback, sketch
+from ..stage.projected import projected_pictures
 from ..stage.units import length_text
 from . import watching
 from .coverage import Legend, colors_of, shaded
@@ -35,7 +36,8 @@ HULL = np.array([0.95, 0.55, 0.3])
 _WIDTH = {True: 1.8, False: 1.0}  # of lines, in pixels: of what takes part in the present frame, and of what does not
 _ALPHA = {True: 0.9, False: 0.4}
 _BEHIND = 0.16  # of a line's alpha, where something is before it
-_FACE_ALPHA = 0.13
+_FACE_ALPHA, _PICTURE_ALPHA = 0.13, 0.75
+_MOST_PIXELS = 1 << 22  # of patterns that are read from Blender to be drawn
 _ON_SURFACE, _BEFORE_SURFACE = 0.998, 0.994  # of the distance: where coverage and hull are drawn, so that they lie on the object
 _TEXT, _SMALL = 12, 11
 _INK, _PLATE = (0.95, 0.95, 0.95, 1.0), (0.08, 0.08, 0.09, 0.62)
@@ -51,6 +53,8 @@ class _Drawn:
         self.version = -1
         self.sketches: list[sketch.Sketch] = []
         self.batches: list[tuple[sketch.Sketch, gpu.types.GPUBatch | None, gpu.types.GPUBatch | None]] = []
+        self.pictures: list[tuple[str, gpu.types.GPUBatch]] = []
+        self.textures: dict[int, gpu.types.GPUTexture] = {}
         self.surface_key: tuple = ()
         self.coverage: gpu.types.GPUBatch | None = None
         self.hull: gpu.types.GPUBatch | None = None
@@ -116,6 +120,7 @@ def _draw_view() -> None:
             gpu.state.depth_test_set('GREATER' if behind else 'LESS_EQUAL')
             _draw_lines(context, _BEHIND if behind else 1.0)
         gpu.state.depth_test_set('LESS_EQUAL')
+        _draw_pictures()
         shader = gpu.shader.from_builtin('UNIFORM_COLOR')
         for found, _, faces in _drawn.batches:
             if faces is not None:
@@ -132,6 +137,30 @@ def _draw_lines(context: bpy.types.Context, share: float) -> None:
             shader.uniform_float("lineWidth", _WIDTH[found.active] * scale)
             shader.uniform_float("color", (*COLORS[found.kind], _ALPHA[found.active] * share))
             lines.draw(shader)
+
+
+def _draw_pictures() -> None:
+    """Draw what the projectors show."""
+    shader = gpu.shader.from_builtin('IMAGE_COLOR')
+    for name, batch in _drawn.pictures:
+        image = bpy.data.images.get(name)
+        if image is not None and image.size[0]:
+            shader.uniform_sampler("image", _texture_of(image))
+            shader.uniform_float("color", (1.0, 1.0, 1.0, _PICTURE_ALPHA))
+            batch.draw(shader)
+
+
+def _texture_of(image: bpy.types.Image) -> gpu.types.GPUTexture:
+    """Return an image for the graphics card; Blender's own is smaller in the distance, where the rows of patterns run into each other."""
+    width, height = image.size
+    if not ownership.is_marked(image) or width * height > _MOST_PIXELS:
+        return gpu.texture.from_image(image)
+    if image.session_uid not in _drawn.textures:  # patterns are made once and never rewritten
+        pixels = np.zeros(width * height * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+        texture = gpu.types.GPUTexture((width, height), format='RGBA16F', data=gpu.types.Buffer('FLOAT', len(pixels), pixels))
+        _drawn.textures = {image.session_uid: texture}
+    return _drawn.textures[image.session_uid]
 
 
 def _draw_surfaces(context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
@@ -220,12 +249,25 @@ def _refresh(scene: bpy.types.Scene, settings: bpy.types.PropertyGroup) -> None:
         _drawn.sketches = list(sketches_of(scene, settings))
         _drawn.batches = [(each, _batch('POLYLINE_UNIFORM_COLOR', 'LINES', each.lines), _batch('UNIFORM_COLOR', 'TRIS', each.faces))
                           for each in _drawn.sketches]
+        _drawn.pictures = list(_picture_batches(scene, settings))
         _drawn.old, _drawn.version = False, watching.watched.version
     key = watching.watched.version, settings.coverage, settings.hull_opacity, settings.live_hull
     if _drawn.surface_key != key:
         _drawn.surface_key = key
         _drawn.coverage, _drawn.legend = _coverage_batch(scene, settings.coverage)
         _drawn.hull = _hull_batch(settings.hull_opacity) if settings.live_hull else None
+
+
+def _picture_batches(scene: bpy.types.Scene, settings: bpy.types.PropertyGroup) -> Iterator[tuple[str, gpu.types.GPUBatch]]:
+    if not (settings.overlays and settings.projectors):
+        return
+    shader = gpu.shader.from_builtin('IMAGE_COLOR')
+    try:
+        for found in projected_pictures(scene):
+            content = {"pos": found.corners.reshape(-1, 3).astype(np.float32), "texCoord": found.places.reshape(-1, 2).astype(np.float32)}
+            yield found.image.name, batch_for_shader(shader, 'TRIS', content)
+    except ScanstageError:
+        return  # the turntable was deleted: the panel says so
 
 
 def _coverage_batch(scene: bpy.types.Scene, shown: str) -> tuple[gpu.types.GPUBatch | None, Legend | None]:

@@ -35,7 +35,7 @@ class SCANSTAGE_PG_view(bpy.types.PropertyGroup):
     overlays: _switch("Overlays", "Draw the rig over the 3-D views")
     cameras: _switch("Cameras", "What each camera sees, as far as the object")
     views: _switch("Views", "Where the cameras stand about the object at every pose of the plan, as small pyramids")
-    projectors: _switch("Projectors", "What each projector or laser lights, as far as the object")
+    projectors: _switch("Projectors", "What each projector or laser lights, as far as the object, and there what the projector shows")
     lights: _switch("Lights", "Which way the lights shine, and the plane of a stick's shadow")
     volume: _switch("Working Volume", "The box that is reconstructed, with a patch of its voxels at the lower corner")
     turntable: _switch("Turntable", "The turntable's axis, its stops, and where it stands now")
