@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs the extension in the window of a real Blender, step by step: the pictures of the README.
+"""Photographs the extension in the window of a real Blender: step by step, or what a walk of its own shows.
 
-    SCANSTAGE_BLENDER=/path/to/blender python3 scripts/photograph_window.py EXTENSION.zip OUT
+    SCANSTAGE_BLENDER=/path/to/blender python3 scripts/photograph_window.py EXTENSION.zip OUT [WALK.py]
+
+`scripts/window_pictures.py` is the walk that takes the README's pictures.
 
 ``SCANSTAGE_BLENDER`` is a Blender, or a command with arguments that starts one. Where there is no display, one that nobody
 sees is made with ``xvfb-run``. Preferences and extensions are kept in OUT: the user's own stay as they are.
@@ -59,10 +61,10 @@ def photograph(command: list[str], extension: Path, out: Path, walk: Path = WALK
 def main() -> int:
     """Photograph, and return 1 with Blender's log if anything went wrong."""
     command = blender_command()
-    if command is None or len(sys.argv) != 3:
+    if command is None or len(sys.argv) not in (3, 4):
         sys.exit(__doc__)
-    found, log = photograph(command, Path(sys.argv[1]), Path(sys.argv[2]))
-    if not found or "error" in found or "Traceback" in log:
+    found, log = photograph(command, *map(Path, sys.argv[1:]))
+    if "error" in found or "Traceback" in log:
         sys.stderr.write(log)
         return 1
     return 0

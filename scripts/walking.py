@@ -63,7 +63,7 @@ def look(name: str) -> Iterator[float]:
     yield DRAWN
     picture = str(OUT / f"{name}.png")
     if shutil.which("import"):  # ImageMagick's: of a window drawn by software, Blender's own screenshot is black
-        subprocess.run(["import", "-window", "root", "-resize", "1280x>", picture], check=True)
+        subprocess.run(["import", "-window", "root", "-resize", "1280x>", "+dither", "-colors", "160", "-depth", "8", picture], check=True)
         return
     with bpy.context.temp_override(**view()):
         bpy.ops.screen.screenshot(filepath=picture)
