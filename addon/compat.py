@@ -57,4 +57,13 @@ def openvdb() -> ModuleType | None:
     return sys.modules["openvdb"]
 
 
+def node_inputs(modifier: bpy.types.NodesModifier) -> list[object]:
+    """Return the values that a user set for a modifier's node group; 5.x has a structure for each, 4.5 custom properties."""
+    if not hasattr(modifier, "properties"):
+        return list(modifier.values())
+    inputs = modifier.properties.inputs
+    given = [getattr(inputs, prop.identifier) for prop in inputs.bl_rna.properties if prop.type == 'POINTER']
+    return [getattr(each, "value", None) for each in given]
+
+
 _MEDIA_TYPES = {"OPEN_EXR_MULTILAYER": "MULTI_LAYER_IMAGE", "FFMPEG": "VIDEO"}

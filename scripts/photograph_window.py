@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 Scanstage Authors
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs the extension in the window of a real Blender, step by step: the pictures of the README.
+"""Photographs the extension in the window of a real Blender: step by step, or what a walk of its own shows.
 
-    SCANSTAGE_BLENDER=/path/to/blender python3 scripts/photograph_window.py EXTENSION.zip OUT
+    SCANSTAGE_BLENDER=/path/to/blender python3 scripts/photograph_window.py EXTENSION.zip OUT [WALK.py]
+
+`scripts/window_pictures.py` is the walk that takes the README's pictures.
 
 ``SCANSTAGE_BLENDER`` is a Blender, or a command with arguments that starts one. Where there is no display, one that nobody
 sees is made with ``xvfb-run``. Preferences and extensions are kept in OUT: the user's own stay as they are.
@@ -20,7 +22,7 @@ from pathlib import Path
 
 WALK = Path(__file__).resolve().with_name("window_walk.py")
 SIZE = ("1280", "960")
-_MOST = 240  # seconds that a walk may take
+_MOST = 600  # seconds that a walk may take
 
 
 def blender_command() -> list[str] | None:
@@ -29,13 +31,13 @@ def blender_command() -> list[str] | None:
     return command or None
 
 
-def photograph(command: list[str], extension: Path, out: Path) -> tuple[dict, str]:
-    """Install an extension into a Blender without any other and walk through it.
+def photograph(command: list[str], extension: Path, out: Path, walk: Path = WALK) -> tuple[dict, str]:
+    """Install an extension into a Blender without any other and walk through it; events are those that ``walk`` simulates.
 
     Returns
     -------
     found : dict
-        What `window_walk` found; empty if Blender ended before it did.
+        What the walk found; empty if Blender ended before it did.
     log : str
         All that Blender wrote, errors of panels among it.
     """
@@ -48,7 +50,7 @@ def photograph(command: list[str], extension: Path, out: Path) -> tuple[dict, st
     window = command if has_display else ["xvfb-run", "-a", "-s", f"-screen 0 {'x'.join(SIZE)}x24 +extension GLX", *command]
     log = ""
     for call in ([*command, "--background", "--command", "extension", "install-file", "-r", "user_default", "-e", str(extension.resolve())],
-                 [*window, "--window-geometry", "0", "0", *SIZE, "--python", str(WALK), "--", str(out)]):
+                 [*window, "--enable-event-simulate", "--window-geometry", "0", "0", *SIZE, "--python", str(walk), "--", str(out)]):
         done = subprocess.run(call, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=_MOST,
                               check=False)
         log += done.stdout
@@ -59,10 +61,10 @@ def photograph(command: list[str], extension: Path, out: Path) -> tuple[dict, st
 def main() -> int:
     """Photograph, and return 1 with Blender's log if anything went wrong."""
     command = blender_command()
-    if command is None or len(sys.argv) != 3:
+    if command is None or len(sys.argv) not in (3, 4):
         sys.exit(__doc__)
-    found, log = photograph(command, Path(sys.argv[1]), Path(sys.argv[2]))
-    if not found or "error" in found or "Traceback" in log:
+    found, log = photograph(command, *map(Path, sys.argv[1:]))
+    if "error" in found or "Traceback" in log:
         sys.stderr.write(log)
         return 1
     return 0

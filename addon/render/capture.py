@@ -22,7 +22,7 @@ from ..captures.store import is_capture, picture_is_whole, read_capture, write_c
 from ..errors import ScanstageError
 from ..results.ply import read_ply, write_ply
 from ..stage import ownership
-from ..stage.readback import CapturePlan, plan_of, staged_objects, truth_mesh
+from ..stage.readback import CapturePlan, PlannedFrame, camera_of, plan_of, rigid_motion, staged_objects, truth_mesh, turntable_of
 from .settings import capture_settings, hidden
 
 TRUTH = "truth.ply"
@@ -116,9 +116,20 @@ def _render_frames(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, plan
         yield (total - len(missing)) / total, f"{total - len(missing)} of {total} frames are there already"
     for frame, entry in zip(plan.frames, planned.frames, strict=True):
         if entry.id in wanted:
+            scene.frame_set(frame.number)
+            _check_unmoved(scene, plan, frame)
             _render(scene, frame.number, folder / entry.image, plan.cameras[frame.camera].size)
             missing.remove(entry.id)
             yield (total - len(missing)) / total, f"frame {entry.id}, {total - len(missing)} of {total}"
+
+
+def _check_unmoved(scene: bpy.types.Scene, plan: CapturePlan, frame: PlannedFrame) -> None:
+    """Refuse to render what the plan no longer describes: in a window, the rig can be moved while it is captured."""
+    planned, there = plan.cameras[frame.camera], scene.camera and camera_of(scene, scene.camera)
+    if there is None or not all(_close(getattr(there, name), getattr(planned, name)) for name in ("K", "R", "t")) \
+            or not _close(rigid_motion(turntable_of(scene)), frame.object_to_world):
+        raise ScanstageError(f"frame {frame.number} of scene {scene.name!r}: the rig was moved while it was captured; put it back, "
+                             "or capture into an empty folder")
 
 
 def _render_plates(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, planned: Capture,

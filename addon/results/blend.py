@@ -10,10 +10,10 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Vector
 
 from ..errors import ScanstageError
 from ..files import NotWritten, check_room, sibling
+from ..stage.extents import corners_of
 
 
 def new_file() -> None:
@@ -43,8 +43,7 @@ def frame_scene(scene: bpy.types.Scene) -> None:
     """Let the file's 3-D views begin with all of a scene before them, in its colours: what is staged is small beside Blender's own view."""
     for layer in scene.view_layers:
         layer.update()  # what was placed since the last update still has its old matrix
-    points = np.array([member.matrix_world @ Vector(corner) for member in scene.objects
-                       for corner in (member.bound_box if member.type in {"MESH", "FONT"} else [(0, 0, 0)])])
+    points = corners_of(scene.objects)
     if not len(points):
         return
     lower, upper = points.min(axis=0), points.max(axis=0)

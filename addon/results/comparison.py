@@ -16,6 +16,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..errors import ScanstageError
+from ..stage.units import length_text
 from .heatmap import ERROR, add_heat_map
 from .materials import OWNER, heat_map_material, ink_material, remove_if_unused
 from .objects import mesh_from_arrays, set_attribute
@@ -31,6 +32,7 @@ _BAR_STEPS = 64
 class _Row:
     """The collection and the measures of one comparison: the objects' half width, lowest and highest y, and height."""
 
+    scene: bpy.types.Scene
     collection: bpy.types.Collection
     half: float
     low: float
@@ -39,6 +41,9 @@ class _Row:
     @property
     def height(self) -> float:
         return self.high - self.low
+
+    def length(self, value: float) -> str:
+        return length_text(self.scene, value, digits=2)
 
     def put(self, name: str, data: bpy.types.ID, x: float, y: float, foot: float | None = None) -> bpy.types.Object:
         """Add something flat that faces the camera with its origin at (x, y), in the plane that meets the floor at
@@ -94,7 +99,7 @@ def add_comparison(truth: bpy.types.Object, result: bpy.types.Object, distances:
     foot = np.append((lower[:2] + upper[:2]) / 2, lower[2])
     foot += ((across.min() + across.max()) / 2 - foot @ RIGHT) * RIGHT
     upward = (points - foot) @ UP
-    row = _Row(collection, float(np.ptp(across)) / 2, float(upward.min()), float(upward.max()))
+    row = _Row(scene, collection, float(np.ptp(across)) / 2, float(upward.min()), float(upward.max()))
     step = 2 * row.half + 2 * _GAP * row.height
     try:
         _add_copy(row, truth, labels[0], -step * RIGHT - foot)
@@ -104,7 +109,7 @@ def add_comparison(truth: bpy.types.Object, result: bpy.types.Object, distances:
         remove_comparison(name)
         raise
     size = float(np.ptp(clouds[0], axis=0).max())
-    notes = (f"{length(size)} across", _describe(result), f"{length(limit)} = {100 * limit / size:.2g} % of the size")
+    notes = (f"{row.length(size)} across", _describe(row, result), f"{row.length(limit)} = {100 * limit / size:.2g} % of the size")
     for column, (label, note) in enumerate(zip(labels, notes, strict=True)):
         _add_label(row, label, note, (column - 1) * step)
     _add_legend(row, step + row.half + _GAP * row.height, limit, signed)
@@ -152,13 +157,8 @@ def remove_comparison(name: str = "Comparison") -> None:
     bpy.data.collections.remove(collection)
 
 
-def length(metres: float) -> str:
-    """Return a length to two digits, in millimetres below a metre."""
-    return f"{metres:.2g} m" if metres >= 1 else f"{float(f'{1000 * metres:.2g}'):g} mm"
-
-
-def _describe(result: bpy.types.Object) -> str:
-    voxels = f"{length(result['voxel_size'])} voxels" if "voxel_size" in result else ""
+def _describe(row: _Row, result: bpy.types.Object) -> str:
+    voxels = f"{row.length(result['voxel_size'])} voxels" if "voxel_size" in result else ""
     return ", ".join(part for part in (result.get("method", ""), voxels) if part)
 
 
@@ -208,7 +208,7 @@ def _add_legend(row: _Row, x: float, limit: float, signed: bool) -> None:
     foot = row.low + 0.05 * row.height
     row.put(f"{row.collection.name} Legend", mesh, x, foot)
     for value in (lowest, (lowest + limit) / 2, limit):
-        text = _text("0" if value == 0 else f"\u2212{length(-value)}" if value < 0 else length(value),
+        text = _text("0" if value == 0 else f"\u2212{row.length(-value)}" if value < 0 else row.length(value),
                      1.15 * _NOTE * row.height, 'LEFT', 'CENTER')
         y = foot + height * (value - lowest) / (limit - lowest)
         row.put(f"{row.collection.name} Tick", text, x + 1.5 * width, y, foot - _NOTE * row.height)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from ..captures.files import read_bytes
 from ..files import replacing
+from ..reconstruction.evaluation import EXPLAINED
 from ..reconstruction.methods import METHODS
 from .folder import PICTURES, PREVIEW, read_report
 
@@ -69,7 +70,8 @@ def page_of(folder: Path) -> str:
     parts = [f"<h1>{escape(title)}</h1><p class='quiet'>{escape(says)}</p>", _figure(folder / PREVIEW, "The result")]
     parts += [f"<p class='warning'>{escape(str(warning))}</p>" for warning in _list(report.get("warnings"))]
     for group, measures in _mapping(report.get("evaluation")).items():
-        parts.append(_table(f"Compared with the truth: {group}", _mapping(measures).items()))
+        parts.append(_table(f"Compared with the truth: {group}", ((name, value, EXPLAINED[name].meaning if name in EXPLAINED else "")
+                                                                  for name, value in _mapping(measures).items())))
     parts.append(_table("Counts", _mapping(report.get("counts")).items()))
     parts.append(_table("Seconds", _mapping(report.get("seconds")).items()))
     meaning = {option.name: option.description for option in entry.options} if entry else {}

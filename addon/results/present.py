@@ -92,6 +92,12 @@ def show_result(scene: bpy.types.Scene, result: Result, *, smooth: bool = False)
     return shown
 
 
+def shown_beside(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Return what `show_result` put into the scene, and the object beside which it stands."""
+    staged = staged_objects(scene) if find_stage(scene) is not None else []
+    return [*(member for member in staged if member.type != 'EMPTY'), *results_collection(scene).objects]
+
+
 def show_above(shown: bpy.types.Object, result: Result, threshold: float, *, ramp: bool = True) -> None:
     """Let a result with probabilities show its voxels above another threshold; the object stays, its mesh is a new one.
 

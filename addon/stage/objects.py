@@ -2,13 +2,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What can stand on a turntable: built-in objects, the user's own objects, and files.
 
-A built-in object or a file becomes the stage's. An object of the user's stays where it is, untouched but for one
-constraint: the turntable is put under it.
+A built-in object or a file becomes the stage's. Objects of the user's stay where they are, untouched but for one
+constraint: the turntable is put under them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,8 +20,10 @@ import numpy as np
 
 from ..errors import ScanstageError
 from . import ownership
+from .carried import carry
 from .evaluated import render_mesh
 from .materials import Texture, textured
+from .units import metres_of
 
 BUILTIN_SIZE = 0.2  # metres, the largest dimension of every built-in object
 _PLAINEST = "dented-sphere"  # whose texture other objects are given where they need one
@@ -76,19 +78,19 @@ class Subject:
     ----------
     builtin : str, optional
         A name of `BUILTINS`.
-    existing : bpy.types.Object, optional
-        An object of the user's in the scene.
+    existing : tuple of bpy.types.Object
+        Objects of the user's in the scene.
     path : Path, optional
         A file.
     """
 
     builtin: str | None = None
-    existing: bpy.types.Object | None = None
+    existing: tuple[bpy.types.Object, ...] = ()
     path: Path | None = None
 
 
-def find_subject(scene: bpy.types.Scene, subject: str | Path | bpy.types.Object) -> Subject:
-    """Find what the user means: the name of a built-in object, of an object in the scene, or a file.
+def find_subject(scene: bpy.types.Scene, subject: str | Path | bpy.types.Object | Sequence[bpy.types.Object]) -> Subject:
+    """Find what the user means: the name of a built-in object, of an object in the scene, a file, an object or several.
 
     Raises
     ------
@@ -96,13 +98,15 @@ def find_subject(scene: bpy.types.Scene, subject: str | Path | bpy.types.Object)
         There is no such object or file, or the file's ending is not known.
     """
     if isinstance(subject, bpy.types.Object):
-        return Subject(existing=subject)
+        return Subject(existing=(subject,))
+    if not isinstance(subject, (str, Path)):
+        return Subject(existing=tuple(subject))
     if not isinstance(subject, Path):
         if subject in BUILTINS:
             return Subject(builtin=subject)
         existing = scene.objects.get(subject)
         if existing is not None and not ownership.is_marked(existing):
-            return Subject(existing=existing)
+            return Subject(existing=(existing,))
     path = Path(bpy.path.abspath(str(subject)))
     known = ", ".join(IMPORTERS)
     if path.suffix.lower() not in IMPORTERS:
@@ -128,7 +132,8 @@ def add_object(scene: bpy.types.Scene, stage: bpy.types.Collection, turntable: b
         At the world's origin; moved under an object that exists already.
     subject : Subject
     fit : float
-        Scale a built-in object or file so that its largest dimension is this, in metres; 0 keeps its own units.
+        Scale a built-in object or file so that its largest dimension is this; 0 keeps a file's own units, and makes a built-in
+        object as large as it is in metres.
 
     Returns
     -------
@@ -140,7 +145,7 @@ def add_object(scene: bpy.types.Scene, stage: bpy.types.Collection, turntable: b
     ScanstageError
         The file cannot be read or holds no mesh, or the object has no faces.
     """
-    if subject.existing is not None:
+    if subject.existing:
         return _put_under(scene, turntable, subject.existing, fit)
     roots = [_add_builtin(stage, subject.builtin)] if subject.builtin else _import(stage, subject.path)
     carrier = ownership.add(stage, "Scanstage Object", None, "object")
@@ -150,7 +155,7 @@ def add_object(scene: bpy.types.Scene, stage: bpy.types.Collection, turntable: b
     members = [o for root in roots for o in (root, *root.children_recursive)]
     vertices = _vertices(scene, members, subject.builtin or str(subject.path))
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
-    scale = fit / max((upper - lower).max(), 1e-30) if fit else 1.0
+    scale = fit / max((upper - lower).max(), 1e-30) if fit else 1 / metres_of(scene) if subject.builtin else 1.0
     base = np.append((lower[:2] + upper[:2]) / 2, lower[2])
     carrier.scale, carrier.location = (scale,) * 3, -base * scale
     return (vertices - base) * scale
@@ -262,16 +267,16 @@ def _first_line(error: Exception) -> str:
     return next(iter(str(error).removeprefix("Error: ").strip().splitlines()), type(error).__name__).rstrip(".")
 
 
-def _put_under(scene: bpy.types.Scene, turntable: bpy.types.Object, existing: bpy.types.Object,
-               fit: float) -> np.ndarray:
+def _put_under(scene: bpy.types.Scene, turntable: bpy.types.Object, existing: Sequence[bpy.types.Object], fit: float) -> np.ndarray:
+    name = f"object {existing[0].name!r}" if len(existing) == 1 else f"{existing[0].name!r} and {len(existing) - 1} more objects"
     if fit:
-        raise ScanstageError(f"option fit: object {existing.name!r} is in the scene already and is staged at its own "
+        raise ScanstageError(f"option fit: {name} is in the scene already and is staged at its own "
                              "size; leave fit at 0, or scale the object")
-    members = [existing, *existing.children_recursive]
-    vertices = _vertices(scene, members, f"object {existing.name!r}")
+    members = {member: None for root in existing for member in (root, *root.children_recursive)}
+    vertices = _vertices(scene, list(members), name)
     lower, upper = vertices.min(axis=0), vertices.max(axis=0)
     turntable.location = (*(lower[:2] + upper[:2]) / 2, lower[2])
-    ownership.attach(existing, turntable)
+    carry(existing, turntable)
     return vertices - np.array(turntable.location)
 
 

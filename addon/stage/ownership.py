@@ -15,6 +15,7 @@ import bpy
 
 from ..errors import ScanstageError
 from . import scene_settings
+from .extents import box_of, has_surface
 
 COLLECTION_NAME = "Scanstage"
 _MARK = "scanstage_made"
@@ -27,9 +28,11 @@ _OVERRIDES = "scanstage_material_overrides_before"
 _MARKERS = "scanstage_marker_cameras_before"
 _ACTION = "scanstage_action_before"
 _HIDDEN = "scanstage_hidden"
+_IN_THE_WAY = "scanstage_in_the_way"
 _ROLE = "scanstage_role"
 _DEVICE = "scanstage_device"
-_CONSTRAINT = "Scanstage Turntable"
+_CONSTRAINT, _CARRIED = "Scanstage Turntable", "Scanstage Turntable, Carried Along"
+_TOUCH = 1e-3  # of the object's size
 # What staging and Blender's importers make. Shape keys go with their mesh and cannot be removed by themselves.
 _KINDS = ("objects", "meshes", "curves", "metaballs", "armatures", "cameras", "lights", "materials", "textures",
           "images", "node_groups", "actions", "worlds", "collections", "texts", "fonts", "particles", "speakers")
@@ -144,29 +147,37 @@ def device_id(device: bpy.types.Object) -> str:
     return device.get(_DEVICE) or "".join(c if c.isalnum() and c.isascii() else "-" for c in device.name).lower()
 
 
-def attach(subject: bpy.types.Object, turntable: bpy.types.Object) -> None:
+def attach(member: bpy.types.Object, turntable: bpy.types.Object, *, staged: bool = True, moved: bool = True) -> None:
     """Let the turntable carry an object of the user's, which keeps its place, parent, scale and animation.
+
+    Parameters
+    ----------
+    staged : bool
+        Whether it is scanned, and does not merely turn along.
+    moved : bool
+        False where a parent carries it already.
 
     Raises
     ------
     ScanstageError
         The object is linked from another file and cannot be given a constraint.
     """
-    if not subject.is_editable:
-        raise ScanstageError(f"object {subject.name!r} is linked from another file: make it local, or override it")
-    constraint = subject.constraints.new("CHILD_OF")
-    constraint.name = _CONSTRAINT
+    if not member.is_editable:
+        raise ScanstageError(f"object {member.name!r} is linked from another file: make it local, or override it")
+    constraint = member.constraints.new("CHILD_OF")
+    constraint.name = _CONSTRAINT if staged else _CARRIED
     constraint.target = turntable
+    constraint.mute = not moved
     constraint.inverse_matrix = turntable.matrix_basis.inverted()
 
 
 def attached(turntable: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the user's objects that the turntable carries."""
-    return [o for o in bpy.data.objects if any(_is_ours(c, turntable) for c in o.constraints)]
+    """Return the user's objects that are scanned on the turntable."""
+    return [o for o in bpy.data.objects if any(c.name == _CONSTRAINT for c in _ties(o, turntable))]
 
 
-def _is_ours(constraint: bpy.types.Constraint, turntable: bpy.types.Object) -> bool:
-    return constraint.type == "CHILD_OF" and constraint.name == _CONSTRAINT and constraint.target == turntable
+def _ties(member: bpy.types.Object, turntable: bpy.types.Object) -> list[bpy.types.Constraint]:
+    return [c for c in member.constraints if c.type == "CHILD_OF" and c.name in (_CONSTRAINT, _CARRIED) and c.target == turntable]
 
 
 def hide_from_render(scene: bpy.types.Scene, stage: bpy.types.Collection, keep: Iterable[bpy.types.Object]) -> None:
@@ -178,15 +189,31 @@ def hide_from_render(scene: bpy.types.Scene, stage: bpy.types.Collection, keep: 
             other[_HIDDEN] = stage
 
 
+def hide_in_the_way(stage: bpy.types.Collection, staged: Iterable[bpy.types.Object]) -> None:
+    """Hide from the viewport what stands where the staged objects do, as Blender's first cube would swallow a built-in object."""
+    box = box_of(staged)
+    if box is None:
+        return
+    lower, upper = box
+    lower = lower + _TOUCH * (upper - lower)  # the floor on which it stands is not in its way
+    ours = set(stage.all_objects)
+    for other in bpy.context.view_layer.objects:
+        if other not in ours and has_surface(other) and other.visible_get():
+            low, high = box_of([other]) or (upper, lower)
+            if (high > lower).all() and (low < upper).all():
+                other[_IN_THE_WAY] = {"stage": stage, "selected": other.select_get()}
+                other.hide_set(True)  # which also deselects it
+
+
 def remove_stage(scene: bpy.types.Scene) -> None:
     """Take the scene's stage away, if it has one: everything is as it was before, and nothing is left over."""
     stage = find_stage(scene)
     if stage is None:
         return
     for turntable in with_role(stage, "turntable"):
-        for subject in attached(turntable):
-            for constraint in [c for c in subject.constraints if _is_ours(c, turntable)]:
-                subject.constraints.remove(constraint)
+        for member in bpy.data.objects:
+            for constraint in _ties(member, turntable):
+                member.constraints.remove(constraint)
     _show_hidden(stage)
     _restore_scene(scene, stage)
     for member in list(stage.all_objects):
@@ -203,6 +230,12 @@ def _show_hidden(stage: bpy.types.Collection | None) -> None:
         if _HIDDEN in other and other[_HIDDEN] == stage:
             other.hide_render = False
             del other[_HIDDEN]
+        if _IN_THE_WAY in other and other[_IN_THE_WAY]["stage"] == stage:
+            selected = bool(other[_IN_THE_WAY]["selected"])
+            del other[_IN_THE_WAY]
+            if other.name in bpy.context.view_layer.objects:
+                other.hide_set(False)
+                other.select_set(selected)
 
 
 def _restore_scene(scene: bpy.types.Scene, stage: bpy.types.Collection) -> None:

@@ -80,7 +80,8 @@ def show_patterns(light: bpy.types.Light, patterns: Sequence[Pattern], shown: Se
     texture.interpolation = "Closest" if _is_binary(atlas.image) else "Linear"
     projector.finish(tree, texture, pattern)
     order = np.argsort(atlas.place)
-    light[projector.PATTERNS] = json.dumps({"size": size, "patterns": [[patterns[i].id, dict(patterns[i].fields)] for i in order]})
+    light[projector.PATTERNS] = json.dumps({"size": size, "down": atlas.down,
+                                            "patterns": [[patterns[i].id, dict(patterns[i].fields)] for i in order]})
     values = [projector.OFF if index is None else float(atlas.place[index]) for index in shown]
     keyframe_value(tree, projector.PATTERN, values, start=start)
 
@@ -112,6 +113,35 @@ def pattern_of(light: bpy.types.Light, frame: int) -> tuple[str, Mapping[str, ob
                              f"the keys of its {projector.PATTERN!r} node")
     id, fields = known["patterns"][round(number)]
     return id, fields
+
+
+def picture_places(light: bpy.types.Light, share: np.ndarray) -> tuple[bpy.types.Image, np.ndarray] | None:
+    """Return the image that a projector shows at the present frame, and where in it places of its picture are.
+
+    Parameters
+    ----------
+    light : bpy.types.Light
+    share : (..., 2) array
+        Places in the projector's picture, from 0 at its left and its top to 1.
+
+    Returns
+    -------
+    image, places : bpy.types.Image and (..., 2) array
+        The places from 0 at the image's left and its foot to 1. None while the projector is dark, or all white.
+    """
+    node, value = light.node_tree.nodes.get(projector.IMAGE), light.node_tree.nodes.get(projector.PATTERN)
+    number = 0.0 if value is None else value.outputs[0].default_value
+    if node is None or node.image is None or number < -0.5 or light.energy <= 0:
+        return None
+    column, row = share[..., 0], share[..., 1]
+    if projector.PATTERNS not in light:
+        return node.image, np.stack((column, 1 - row), axis=-1)
+    known = json.loads(light[projector.PATTERNS])
+    count, down, size = len(known["patterns"]), known.get("down"), known["size"]
+    if down is None:
+        return node.image, np.stack((column, 1 - (round(number) + row) / count), axis=-1)
+    along = row * size[1] / max(size) if round(number) >= down else column * size[0] / max(size)
+    return node.image, np.stack((along, np.full_like(along, 1 - (round(number) + 0.5) / count)), axis=-1)
 
 
 def _image_fields(tree: bpy.types.NodeTree, frame: int) -> tuple[str, Mapping[str, object]]:

@@ -188,10 +188,15 @@ def border_rays(optics: Camera) -> np.ndarray:
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], np.float64) * optics.size - 0.5
     share = np.arange(_EDGE_STEPS)[:, None] / _EDGE_STEPS
     border = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
-    straight = cv2.undistortPoints(border[:, None], optics.K, optics.distortion, P=optics.K)[:, 0]
+    return rays_through(optics, border)
+
+
+def rays_through(optics: Camera, pixels: np.ndarray) -> np.ndarray:
+    """Return the rays (n, 3), of unit depth in the world, through pixels (n, 2) of the picture as the lens shows it."""
+    straight = cv2.undistortPoints(pixels[:, None], optics.K, optics.distortion, P=optics.K)[:, 0]
     lens = replace(optics, R=np.eye(3), t=np.zeros(3))
-    lit = np.abs(lens.project(lens.rays(straight))[0] - border).max(axis=1) < 1  # not so where the lens folds its picture back
-    return optics.rays(np.where(lit[:, None], straight, border))
+    lit = np.abs(lens.project(lens.rays(straight))[0] - pixels).max(axis=1) < 1  # not so where the lens folds its picture back
+    return optics.rays(np.where(lit[:, None], straight, pixels))
 
 
 def _frustum(optics: Camera, distance: float) -> tuple[list[list[float]], list[tuple[int, int]]]:

@@ -15,12 +15,14 @@ from ..errors import ScanstageError
 from ..reconstruction.geometry import Camera, VoxelGrid
 from ..reconstruction.planning.coverage import Shot
 from . import ownership
+from .extents import box_of
 from .laser import LASER as LASER_NODE
 from .laser import is_laser, plane_of
 from .projection import pattern_of
 from .projector import border_rays, is_projector
 from .readback import camera_of, light_of, projector_of, rigid_motion, staged_objects, turntable_of
 from .timeline import light_is_on
+from .units import length_text
 
 CAMERA, VIEW, PROJECTOR, LIGHT, LASER, SHADOW = "camera", "view", "projector", "light", "laser", "shadow"
 VOLUME, TURNTABLE = "volume", "turntable"
@@ -68,7 +70,7 @@ def sketch_devices(scene: bpy.types.Scene) -> Iterator[Sketch]:
     ScanstageError
         The scene has no stage.
     """
-    middle, size = _object_place(scene)
+    middle, size = object_place(scene)
     for device in sorted(scene.objects, key=lambda o: o.name):
         if device.type not in ("CAMERA", "LIGHT") or device.hide_render:
             continue
@@ -85,7 +87,7 @@ def sketch_devices(scene: bpy.types.Scene) -> Iterator[Sketch]:
 def sketch_views(scene: bpy.types.Scene, shots: Sequence[Shot]) -> Iterator[Sketch]:
     """Yield a small pyramid for every view of the plan, where it stands about the object's present pose."""
     motion = rigid_motion(turntable_of(scene))
-    middle = _object_place(scene)[0]
+    middle = object_place(scene)[0]
     for shot in shots:
         camera = shot.camera.moved(np.linalg.inv(motion))
         depth = _VIEW_SIZE * float(np.linalg.norm(camera.centre - middle))
@@ -106,7 +108,7 @@ def sketch_volume(scene: bpy.types.Scene, grid: VoxelGrid) -> Iterator[Sketch]:
             row[:, :, across] = 1 + np.arange(count[across])[:, None]
             row[:, 1, along] = count[along]
             rows.append(lower + grid.voxel_size * row)
-    size = bpy.utils.units.to_string('METRIC', 'LENGTH', grid.voxel_size, precision=3, split_unit=False)
+    size = length_text(scene, grid.voxel_size)
     for lines, label, active in ((box[edges], "", True), (np.concatenate(rows), f"voxel {size}", False)):
         lines = lines @ motion[:3, :3].T + motion[:3, 3]
         yield Sketch(VOLUME, lines, label=label, anchor=motion[:3, :3] @ lower + motion[:3, 3], active=active)
@@ -122,7 +124,7 @@ def sketch_turntable(scene: bpy.types.Scene, stops: np.ndarray) -> Sketch:
         Where the object frame stands in the world at each.
     """
     table = turntable_of(scene)
-    motion, height, radius = rigid_motion(table), 2 * _object_place(scene)[1], table.empty_display_size
+    motion, height, radius = rigid_motion(table), 2 * object_place(scene)[1], table.empty_display_size
     centre, turned, axis = motion[:3, 3], motion[:3, :3], motion[:3, 2]
     angles = np.linspace(0, 2 * math.pi, _CIRCLE, endpoint=False)
     rim = np.column_stack((np.cos(angles), np.sin(angles), 0 * angles)) @ turned.T
@@ -149,21 +151,24 @@ def _lights(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     return [o for o in scene.objects if o.type == "LIGHT" and not o.hide_render and not is_projector(o) and not is_laser(o)]
 
 
-def _object_place(scene: bpy.types.Scene) -> tuple[np.ndarray, float]:
+def object_place(scene: bpy.types.Scene) -> tuple[np.ndarray, float]:
     """Return the middle (3,) of the staged object in the world, and half the diagonal of its box."""
-    corners = [np.array(o.matrix_world) @ (*corner, 1) for o in staged_objects(scene) if o.type == "MESH" for corner in o.bound_box]
-    if not corners:
+    box = box_of(staged_objects(scene))
+    if box is None:
         return np.array(turntable_of(scene).matrix_world.translation), 0.1
-    corners = np.array(corners)[:, :3]
-    lower, upper = corners.min(axis=0), corners.max(axis=0)
+    lower, upper = box
     return (lower + upper) / 2, float(np.linalg.norm(upper - lower)) / 2
+
+
+def reach_of(device: Camera, middle: np.ndarray) -> float:
+    """Return the depth at which a device's frustum ends: that of the object's middle."""
+    depth = float(device.project(middle)[1])
+    return depth if depth > 0 else float(np.linalg.norm(middle - device.centre))
 
 
 def _frustum(kind: str, device: Camera, middle: np.ndarray, name: str, active: bool) -> Sketch:
     """Return the pyramid of what a device sees or lights, as far as the object's middle; a projector's picture is filled there."""
-    depth = float(device.project(middle)[1])
-    depth = depth if depth > 0 else float(np.linalg.norm(middle - device.centre))
-    rim = device.centre + depth * border_rays(device)
+    rim = device.centre + reach_of(device, middle) * border_rays(device)
     picture = np.stack((np.broadcast_to(rim.mean(axis=0), rim.shape), rim, np.roll(rim, -1, axis=0)), axis=1)
     lines = [_loop(rim), _spokes(device.centre, rim[::16])]
     return Sketch(kind, np.concatenate(lines), picture if kind == PROJECTOR else np.zeros((0, 3, 3)), name, device.centre, active)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import bpy
@@ -17,7 +17,7 @@ from .presets import PRESETS
 from .readback import staged_objects
 
 
-def build(scene: bpy.types.Scene, preset_name: str, subject: str | Path | bpy.types.Object,
+def build(scene: bpy.types.Scene, preset_name: str, subject: str | Path | bpy.types.Object | Sequence[bpy.types.Object],
           options: Mapping[str, Value]) -> bpy.types.Collection:
     """Build a stage round an object. A stage that the scene has already is replaced.
 
@@ -27,8 +27,8 @@ def build(scene: bpy.types.Scene, preset_name: str, subject: str | Path | bpy.ty
         The context's scene, in Object Mode.
     preset_name : str
         A name of `addon.stage.presets.PRESETS`.
-    subject : str, Path or bpy.types.Object
-        The name of a built-in object or of an object in the scene, a file, or an object itself.
+    subject : str, Path, bpy.types.Object or sequence of bpy.types.Object
+        The name of a built-in object or of an object in the scene, a file, or an object itself, or several.
     options : mapping
         The preset's options; text is parsed as a user's.
 
@@ -62,6 +62,8 @@ def build(scene: bpy.types.Scene, preset_name: str, subject: str | Path | bpy.ty
         ownership.remove_stage(scene)
         raise
     scene.frame_set(scene.frame_start)
+    if not found.existing:
+        ownership.hide_in_the_way(stage, staged_objects(scene))
     return stage
 
 

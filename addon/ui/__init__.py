@@ -4,6 +4,7 @@
 
 - `properties`: what a scene remembers; the options come out of the tables of presets, methods and silhouettes.
 - `jobs`: long work as steps, with progress, Esc and a thread for what never touches Blender.
+- `drawing`: lines and buttons as all panels draw them.
 - `operators`: adapters: gather what is set, call a function, report.
 - `adding`: Add > Scan Rig, with an entry for each preset.
 - `gallery`: every rig with its picture; the user's own rigs, as presets.
@@ -14,12 +15,13 @@
 - `view_panels`: what is drawn over the 3-D views by `overlays`, in the colours of `coverage`, from what `watching` knows of the rig.
 """
 
-from . import adding, calibrating, devices, gallery, operators, panels, properties, view_panels
+from . import adding, calibrating, devices, gallery, jobs, operators, panels, properties, view_panels
 
 
 def register() -> None:
     """Register every class and attach the settings to scenes."""
     properties.register()
+    jobs.register()
     operators.register()
     calibrating.register()
     gallery.register()
@@ -38,4 +40,5 @@ def unregister() -> None:
     gallery.unregister()
     calibrating.unregister()
     operators.unregister()
+    jobs.unregister()
     properties.unregister()

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,10 +17,12 @@ SHOWN = (
     ('VIEWS', "Views", "How many views see each place of the surface"),
     ('LIGHTS', "Lights", "How many lights, or places of one, shine on it"),
     ('PIXELS', "Projector Pixels", "How many of a projector's pixels fall on it, at the pose where they are most"),
-    ('ERROR', "Depth Error", "What error of depth the rig's geometry lets one expect: triangulation angle and pixel size"),
+    ('ERROR', "Depth Error", "What error of depth the rig's geometry lets one expect, as a standard deviation: by its projectors and "
+     "lasers, or without them by matching each view with its nearest neighbour, if the surface has texture. Silhouettes measure none"),
 )
 NEVER = np.array([0.62, 0.09, 0.16])  # of what nothing reaches
 _TITLES = {'VIEWS': "Views", 'LIGHTS': "Lights", 'PIXELS': "Projector pixels per square mm", 'ERROR': "Expected depth error"}
+_NOTES = {True: "by triangulation with the light", False: "if textured: by matching neighbours"}
 _STEPS = 6  # swatches of a legend
 _ENDS = 5.0, 95.0  # percent of the triangles between which the ramp runs: the rest has its first or last colour
 _LIGHT = np.array([0.35, -0.5, 0.79])  # from the front, above: the form is seen, however the view is turned
@@ -36,10 +38,13 @@ class Legend:
     title : str
     entries : tuple of ((3,) array, str)
         A colour as screens show it, and what it stands for.
+    note : str
+        What is assumed.
     """
 
     title: str
     entries: tuple[tuple[np.ndarray, str], ...]
+    note: str = ""
 
 
 def colors_of(coverage: Coverage, shown: str, length: Callable[[float], str]) -> tuple[np.ndarray, Legend]:
@@ -58,7 +63,7 @@ def colors_of(coverage: Coverage, shown: str, length: Callable[[float], str]) ->
     if shown == 'PIXELS':
         return _of_amounts(coverage.projector_pixels * _SQUARE_MM, coverage.projector_pixels > 0, _TITLES[shown], "none", "{:.3g}".format)
     colors, legend = _of_amounts(coverage.depth_error, np.isfinite(coverage.depth_error), _TITLES[shown], "no depth", length, turned=True)
-    return colors, legend
+    return colors, replace(legend, note=_NOTES[coverage.active])
 
 
 def shaded(colors: np.ndarray, normals: np.ndarray) -> np.ndarray:

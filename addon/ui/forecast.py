@@ -30,7 +30,7 @@ def reconstruction_cost(settings: bpy.types.PropertyGroup) -> list[str]:
     work = Workload.most(shape, settings.capture_frames, int(settings.capture_pixels))
     need, there = METHODS[settings.method].memory(work), available_memory()
     return [f"{' x '.join(map(str, shape))} voxels at most",
-            f"{'! ' if need > there else ''}{amount(need)} of memory at most, {amount(there)} are free"]
+            f"{'! ' if need > there else ''}{amount(need)} of memory, {amount(there)} free"]
 
 
 def duration(seconds: float) -> str:

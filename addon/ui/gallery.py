@@ -43,7 +43,8 @@ class SCANSTAGE_PT_gallery(bpy.types.Panel):
         for name, preset in PRESETS.items():
             cell = grid.box().column(align=True)
             cell.template_icon(picture_of(name), scale=6.0)
-            cell.operator(SCANSTAGE_OT_add_rig.bl_idname, text=preset.label).preset = name
+            button = cell.operator(SCANSTAGE_OT_add_rig.bl_idname, text=preset.label)
+            button.preset, button.use_selection = name, False  # of what the panel names
             lines = textwrap.wrap(preset.description, _LINE)
             for line in lines:
                 cell.label(text=line)

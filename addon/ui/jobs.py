@@ -15,10 +15,20 @@ from concurrent.futures import Future
 from queue import Empty, SimpleQueue
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..errors import Cancelled, ScanstageError
 
 _TICK = 0.05  # seconds
+
+
+class _Running:
+    """The steps of the job that runs in the window, if one does."""
+
+    steps: Iterator[tuple[float, str]] | None = None
+
+
+_running = _Running()
 
 
 class MainThread:
@@ -130,9 +140,9 @@ class Job:
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Start, and let a timer take the steps."""
-        self._steps = self.steps(context)
+        self._steps = _running.steps = self.steps(context)
         job = context.window_manager.scanstage_job
-        job.running, job.title, job.fraction, job.message = True, self.bl_label, 0.0, "Starting"
+        job.running, job.stop, job.operator, job.fraction, job.message = True, False, type(self).bl_idname, 0.0, "Starting"
         self._timer = context.window_manager.event_timer_add(_TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set(f"{self.bl_label}: press Esc to stop")
@@ -140,7 +150,8 @@ class Job:
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Take one step, or stop."""
-        if event.type == 'ESC' and event.value == 'PRESS':
+        job = context.window_manager.scanstage_job
+        if job.stop or (event.type == 'ESC' and event.value == 'PRESS'):
             self.cancel(context)
             self.report({'INFO'}, f"{self.bl_label} stopped; what is whole on disk stays")
             return {'CANCELLED'}
@@ -159,7 +170,6 @@ class Job:
         except BaseException:
             self._finish(context)
             raise
-        job = context.window_manager.scanstage_job
         job.fraction, job.message = fraction, message
         context.workspace.status_text_set(f"{self.bl_label}: {100 * fraction:.0f} %, {message} - press Esc to stop")
         _redraw(context)
@@ -167,14 +177,49 @@ class Job:
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Stop: the generator puts the scene back as it was. Blender calls this too, when the window or file goes."""
-        self._steps.close()
-        self._finish(context)
+        try:
+            self._steps.close()
+        finally:
+            self._finish(context)
 
     def _finish(self, context: bpy.types.Context) -> None:
+        _running.steps = None
         context.window_manager.event_timer_remove(self._timer)
         context.window_manager.scanstage_job.running = False
-        context.workspace.status_text_set(None)
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
         _redraw(context)
+
+
+@persistent
+def _before_all_changes(*_) -> None:
+    """Stop what runs before undo, or another file, puts other data in the place of all that it holds on to."""
+    if _running.steps is not None:
+        _running.steps.close()
+        bpy.context.window_manager.scanstage_job.stop = True
+
+
+@persistent
+def _after_load(*_) -> None:
+    """Forget the job of whoever saved the file while it ran."""
+    if _running.steps is None:
+        bpy.context.window_manager.scanstage_job.running = False
+
+
+class SCANSTAGE_OT_stop(bpy.types.Operator):
+    """Stop what runs; what is whole on disk stays"""
+
+    bl_idname = "scanstage.stop"
+    bl_label = "Stop Scanstage Job"
+    bl_options = {'INTERNAL'}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.window_manager.scanstage_job.running
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        context.window_manager.scanstage_job.stop = True
+        return {'FINISHED'}
 
 
 def _redraw(context: bpy.types.Context) -> None:
@@ -182,3 +227,22 @@ def _redraw(context: bpy.types.Context) -> None:
         for area in window.screen.areas:
             if area.type == 'VIEW_3D':
                 area.tag_redraw()
+
+
+_HANDLERS = (("undo_pre", _before_all_changes), ("redo_pre", _before_all_changes), ("load_pre", _before_all_changes),
+             ("load_post", _after_load))
+_register_classes, _unregister_classes = bpy.utils.register_classes_factory((SCANSTAGE_OT_stop,))
+
+
+def register() -> None:
+    """Register the operator, and watch for undo and other files."""
+    _register_classes()
+    for name, handler in _HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
+
+
+def unregister() -> None:
+    """Undo `register`."""
+    for name, handler in _HANDLERS:
+        getattr(bpy.app.handlers, name).remove(handler)
+    _unregister_classes()

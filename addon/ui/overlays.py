@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 import blf
 import bpy
@@ -22,6 +23,8 @@ from mathutils import Matrix
 
 from ..errors import ScanstageError
 from ..stage import ownership, readback, sketch
+from ..stage.projected import projected_pictures
+from ..stage.units import length_text
 from . import watching
 from .coverage import Legend, colors_of, shaded
 
@@ -33,7 +36,8 @@ HULL = np.array([0.95, 0.55, 0.3])
 _WIDTH = {True: 1.8, False: 1.0}  # of lines, in pixels: of what takes part in the present frame, and of what does not
 _ALPHA = {True: 0.9, False: 0.4}
 _BEHIND = 0.16  # of a line's alpha, where something is before it
-_FACE_ALPHA = 0.13
+_FACE_ALPHA, _PICTURE_ALPHA = 0.13, 0.75
+_MOST_PIXELS = 1 << 22  # of patterns that are read from Blender to be drawn
 _ON_SURFACE, _BEFORE_SURFACE = 0.998, 0.994  # of the distance: where coverage and hull are drawn, so that they lie on the object
 _TEXT, _SMALL = 12, 11
 _INK, _PLATE = (0.95, 0.95, 0.95, 1.0), (0.08, 0.08, 0.09, 0.62)
@@ -49,6 +53,8 @@ class _Drawn:
         self.version = -1
         self.sketches: list[sketch.Sketch] = []
         self.batches: list[tuple[sketch.Sketch, gpu.types.GPUBatch | None, gpu.types.GPUBatch | None]] = []
+        self.pictures: list[tuple[str, gpu.types.GPUBatch]] = []
+        self.textures: dict[int, gpu.types.GPUTexture] = {}
         self.surface_key: tuple = ()
         self.coverage: gpu.types.GPUBatch | None = None
         self.hull: gpu.types.GPUBatch | None = None
@@ -114,6 +120,7 @@ def _draw_view() -> None:
             gpu.state.depth_test_set('GREATER' if behind else 'LESS_EQUAL')
             _draw_lines(context, _BEHIND if behind else 1.0)
         gpu.state.depth_test_set('LESS_EQUAL')
+        _draw_pictures()
         shader = gpu.shader.from_builtin('UNIFORM_COLOR')
         for found, _, faces in _drawn.batches:
             if faces is not None:
@@ -130,6 +137,30 @@ def _draw_lines(context: bpy.types.Context, share: float) -> None:
             shader.uniform_float("lineWidth", _WIDTH[found.active] * scale)
             shader.uniform_float("color", (*COLORS[found.kind], _ALPHA[found.active] * share))
             lines.draw(shader)
+
+
+def _draw_pictures() -> None:
+    """Draw what the projectors show."""
+    shader = gpu.shader.from_builtin('IMAGE_COLOR')
+    for name, batch in _drawn.pictures:
+        image = bpy.data.images.get(name)
+        if image is not None and image.size[0]:
+            shader.uniform_sampler("image", _texture_of(image))
+            shader.uniform_float("color", (1.0, 1.0, 1.0, _PICTURE_ALPHA))
+            batch.draw(shader)
+
+
+def _texture_of(image: bpy.types.Image) -> gpu.types.GPUTexture:
+    """Return an image for the graphics card; Blender's own is smaller in the distance, where the rows of patterns run into each other."""
+    width, height = image.size
+    if not ownership.is_marked(image) or width * height > _MOST_PIXELS:
+        return gpu.texture.from_image(image)
+    if image.session_uid not in _drawn.textures:  # patterns are made once and never rewritten
+        pixels = np.zeros(width * height * 4, np.float32)
+        image.pixels.foreach_get(pixels)
+        texture = gpu.types.GPUTexture((width, height), format='RGBA16F', data=gpu.types.Buffer('FLOAT', len(pixels), pixels))
+        _drawn.textures = {image.session_uid: texture}
+    return _drawn.textures[image.session_uid]
 
 
 def _draw_surfaces(context: bpy.types.Context, settings: bpy.types.PropertyGroup) -> None:
@@ -185,15 +216,19 @@ def _draw_legend(context: bpy.types.Context, legend: Legend) -> None:
     edge, row, swatch, width = _EDGE * scale, _ROW * scale, _SWATCH * scale, _LEGEND_WIDTH * scale
     tools = next((region.width for region in context.area.regions if region.type == 'TOOLS'), 0)
     blf.size(0, _TEXT * scale)
-    width = max(width, blf.dimensions(0, legend.title)[0] + 2 * edge)
+    width = max(width, *(blf.dimensions(0, text)[0] + 2 * edge for text in (legend.title, legend.note)))
     x, y = tools + edge, edge
-    height = (len(legend.entries) + 1.4) * row + edge / 2
+    height = (len(legend.entries) + 1.4 + bool(legend.note)) * row + edge / 2
     _fill(x, y, width, height, _PLATE)
     top = y + height - row
     blf.color(0, *_INK)
     blf.position(0, x + edge / 2, top, 0)
     blf.draw(0, legend.title)
     blf.size(0, _SMALL * scale)
+    if legend.note:
+        top -= row
+        blf.position(0, x + edge / 2, top, 0)
+        blf.draw(0, legend.note)
     for color, text in legend.entries:
         top -= row
         _fill(x + edge / 2, top - 0.2 * swatch, swatch * 1.6, swatch, (*color, 1.0))
@@ -214,20 +249,33 @@ def _refresh(scene: bpy.types.Scene, settings: bpy.types.PropertyGroup) -> None:
         _drawn.sketches = list(sketches_of(scene, settings))
         _drawn.batches = [(each, _batch('POLYLINE_UNIFORM_COLOR', 'LINES', each.lines), _batch('UNIFORM_COLOR', 'TRIS', each.faces))
                           for each in _drawn.sketches]
+        _drawn.pictures = list(_picture_batches(scene, settings))
         _drawn.old, _drawn.version = False, watching.watched.version
     key = watching.watched.version, settings.coverage, settings.hull_opacity, settings.live_hull
     if _drawn.surface_key != key:
         _drawn.surface_key = key
-        _drawn.coverage, _drawn.legend = _coverage_batch(settings.coverage)
+        _drawn.coverage, _drawn.legend = _coverage_batch(scene, settings.coverage)
         _drawn.hull = _hull_batch(settings.hull_opacity) if settings.live_hull else None
 
 
-def _coverage_batch(shown: str) -> tuple[gpu.types.GPUBatch | None, Legend | None]:
+def _picture_batches(scene: bpy.types.Scene, settings: bpy.types.PropertyGroup) -> Iterator[tuple[str, gpu.types.GPUBatch]]:
+    if not (settings.overlays and settings.projectors):
+        return
+    shader = gpu.shader.from_builtin('IMAGE_COLOR')
+    try:
+        for found in projected_pictures(scene):
+            content = {"pos": found.corners.reshape(-1, 3).astype(np.float32), "texCoord": found.places.reshape(-1, 2).astype(np.float32)}
+            yield found.image.name, batch_for_shader(shader, 'TRIS', content)
+    except ScanstageError:
+        return  # the turntable was deleted: the panel says so
+
+
+def _coverage_batch(scene: bpy.types.Scene, shown: str) -> tuple[gpu.types.GPUBatch | None, Legend | None]:
     found = watching.watched.coverage
     if found is None or shown == 'NONE':
         return None, None
     surveyor = watching.watched.surveyor
-    colors, legend = colors_of(found, shown, length_text)
+    colors, legend = colors_of(found, shown, partial(length_text, scene))
     return _batch('SMOOTH_COLOR', 'TRIS', surveyor.corners, np.repeat(shaded(colors, surveyor.normals), 3, axis=0), 1.0), legend
 
 
@@ -247,14 +295,6 @@ def _batch(shader: str, kind: str, points: np.ndarray, colors: np.ndarray | None
     if colors is not None:
         content["color"] = np.column_stack((colors, np.full(len(colors), alpha))).astype(np.float32)
     return batch_for_shader(gpu.shader.from_builtin(shader), kind, content)
-
-
-def length_text(value: float) -> str:
-    """Return a length, given in metres, in three digits of a unit that suits it."""
-    for unit, size in (("m", 1.0), ("mm", 1e-3), ("\u00b5m", 1e-6)):
-        if value >= size or size == 1e-6:
-            return f"{value / size:.3g} {unit}"
-    return ""
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from ..options import Option, Unit, Value
 from ..reconstruction.methods import DEFAULT_VOXELS, METHODS
 from ..reconstruction.shadows import SHADOW_OPTIONS
 from ..reconstruction.silhouettes import SILHOUETTE_OPTIONS
+from ..stage.carried import scannable
 from ..stage.objects import BUILTINS
 from ..stage.presets import PRESETS
 from .probability import show_again
@@ -86,11 +87,12 @@ def _settings_fields() -> dict:
         "source": EnumProperty(name="Object", description="What stands on the turntable", items=[
             ('BUILTIN', "Example", "One of the objects that come with Scanstage"),
             ('SCENE', "From Scene", "An object of this scene, used as it is"),
+            ('SELECTION', "Selected", "All objects that are selected, together, each used as it is"),
             ('FILE', "From File", "A mesh file, in its own units")]),
         "builtin": EnumProperty(name="Example", description="An object that comes with Scanstage", items=[
             (name, name.replace("-", " ").title(), entry.description) for name, entry in BUILTINS.items()]),
         "subject": PointerProperty(name="Object", description="The object of this scene to scan", type=bpy.types.Object,
-                                   poll=lambda settings, candidate: candidate.type == 'MESH'),
+                                   poll=lambda settings, candidate: bool(scannable([candidate]))),
         "file": StringProperty(name="File", description="A mesh: .ply .obj .stl .glb .fbx .blend", subtype='FILE_PATH'),
         "capture_folder": StringProperty(name="Captures", subtype='DIR_PATH',
                                          description="Folder of the capture set. Empty: scanstage/capture beside this file, or in "
@@ -130,7 +132,8 @@ class SCANSTAGE_PG_job(bpy.types.PropertyGroup):
     """The job that runs, for the panels to show."""
 
     running: BoolProperty()
-    title: StringProperty()
+    stop: BoolProperty()
+    operator: StringProperty()
     fraction: FloatProperty(min=0.0, max=1.0)
     message: StringProperty()
 

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-import textwrap
-
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
@@ -13,12 +11,12 @@ from ..errors import ScanstageError
 from ..reconstruction.planning.coverage import PIXEL_ERROR
 from ..results.growing import show_growing_hulls
 from ..stage import ownership
+from ..stage.units import length_text
 from . import overlays, watching
 from .coverage import SHOWN
+from .drawing import draw_lines
 from .jobs import idle
 from .viewport import show_colors
-
-_LINE = 46  # characters that fit a sidebar of the usual width
 
 
 def _changed(settings: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -37,7 +35,7 @@ class SCANSTAGE_PG_view(bpy.types.PropertyGroup):
     overlays: _switch("Overlays", "Draw the rig over the 3-D views")
     cameras: _switch("Cameras", "What each camera sees, as far as the object")
     views: _switch("Views", "Where the cameras stand about the object at every pose of the plan, as small pyramids")
-    projectors: _switch("Projectors", "What each projector or laser lights, as far as the object")
+    projectors: _switch("Projectors", "What each projector or laser lights, as far as the object, and there what the projector shows")
     lights: _switch("Lights", "Which way the lights shine, and the plane of a stick's shadow")
     volume: _switch("Working Volume", "The box that is reconstructed, with a patch of its voxels at the lower corner")
     turntable: _switch("Turntable", "The turntable's axis, its stops, and where it stands now")
@@ -45,7 +43,7 @@ class SCANSTAGE_PG_view(bpy.types.PropertyGroup):
     coverage: EnumProperty(name="Coverage", description="What the colours of the object's surface say", items=SHOWN, update=_changed,
                            options={'SKIP_SAVE'})
     pixel_error: FloatProperty(name="Pixel Error", description="How well a position in a picture is found, as a standard deviation in "
-                               "pixels: about 0.1 for a stripe, 0.5 for a match of pictures", default=PIXEL_ERROR, min=0.001,
+                               "pixels: about 0.1 for a stripe, 0.2 for textured pictures that are matched", default=PIXEL_ERROR, min=0.001,
                                soft_max=2.0, max=100.0, precision=2, update=_changed, options={'SKIP_SAVE'})
     live_hull: _switch("Live Hull", "Show the visual hull that the rig would carve, and let it follow while you move the cameras or change "
                        "the number of views", False)
@@ -104,19 +102,18 @@ class SCANSTAGE_PT_view(bpy.types.Panel):
         if settings.coverage == 'ERROR':
             layout.prop(settings, "pixel_error")
         if settings.coverage != 'NONE' and watching.watched.missed:
-            _draw_missed(layout, watching.watched.missed)
+            _draw_missed(layout, context.scene, watching.watched.missed)
         row = layout.row(heading="Live Hull")
         row.prop(settings, "live_hull", text="")
         sub = row.row()
         sub.active = settings.live_hull
         sub.prop(settings, "hull_opacity", text="")
         if watching.watched.problem and watching.wanted() and ownership.find_stage(context.scene) is not None:
-            for number, line in enumerate(textwrap.wrap(watching.watched.problem, _LINE)):
-                layout.label(text=line, icon='BLANK1' if number else 'ERROR')
+            draw_lines(layout, context, [f"! {watching.watched.problem}"])
         layout.operator(SCANSTAGE_OT_show_growing_hull.bl_idname, icon='OUTLINER_OB_VOLUME')
 
 
-def missed_lines(missed: dict[str, float | None]) -> list[tuple[str, str]]:
+def missed_lines(scene: bpy.types.Scene, missed: dict[str, float | None]) -> list[tuple[str, str]]:
     """Return what the rig misses as names and values for a panel."""
     shares = [("Seen by no view", "seen_by_less_than_1"), ("By fewer than 2", "seen_by_less_than_2"),
               ("By fewer than 3", "seen_by_less_than_3"), ("Unlit", "unlit"), ("Without depth", "without_depth")]
@@ -124,14 +121,14 @@ def missed_lines(missed: dict[str, float | None]) -> list[tuple[str, str]]:
         shares.insert(4, ("Beyond projectors", "beyond_projectors"))
     median = missed["median_depth_error"]
     return [(name, f"{100 * missed[key]:.1f} %") for name, key in shares] + [
-        ("Median depth error", "-" if median is None else overlays.length_text(median))]
+        ("Median depth error", "-" if median is None else length_text(scene, median))]
 
 
-def _draw_missed(layout: bpy.types.UILayout, missed: dict[str, float | None]) -> None:
+def _draw_missed(layout: bpy.types.UILayout, scene: bpy.types.Scene, missed: dict[str, float | None]) -> None:
     box = layout.box()
     box.label(text="What the rig misses")
     column = box.column(align=True)
-    for name, value in missed_lines(missed):
+    for name, value in missed_lines(scene, missed):
         row = column.row()
         row.label(text=name)
         value_row = row.row()

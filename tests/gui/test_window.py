@@ -6,27 +6,18 @@ Run with ``SCANSTAGE_BLENDER``, as `scripts/photograph_window.py` says.
 """
 
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from addon.captures.pictures import read_picture
-from scripts.build_extension import ROOT
-from scripts.photograph_window import blender_command, photograph
+from scripts.photograph_window import WALK
 
 
 @pytest.fixture(scope="module")
-def walked(tmp_path_factory):
+def walked(walk_through):
     """What was found on the way, Blender's log, and the folder of the pictures."""
-    command = blender_command()
-    if command is None:
-        pytest.skip("set SCANSTAGE_BLENDER to a Blender with a window")
-    archives = sorted((ROOT / "dist").glob("scanstage-*-linux_x64.zip"))
-    if not archives:
-        pytest.skip("build the extension first: scripts/build_extension.py")
-    out: Path = tmp_path_factory.mktemp("window")
-    return *photograph(command, archives[-1], out), out
+    return walk_through(WALK)
 
 
 def test_no_panel_fails_in_any_state(walked):

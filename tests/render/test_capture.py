@@ -67,6 +67,18 @@ def test_the_set_is_the_plan(staged, tmp_path):
                                                          "truth.ply"]
 
 
+def test_a_rig_that_is_moved_while_it_is_captured_is_refused(staged, tmp_path):
+    steps = capture_frames(staged, tmp_path)
+    next(steps)
+    staged.camera.location.x += 0.001
+    with pytest.raises(ScanstageError, match="frame 2 .*: the rig was moved while it was captured"):
+        list(steps)
+    assert read_capture(tmp_path, require_pictures=False).missing == ("0002", "0003")
+    staged.camera.location.x -= 0.001
+    capture(staged, tmp_path)
+    assert read_capture(tmp_path).missing == ()
+
+
 @pytest.mark.parametrize("name", ["knot", "figure", "pot"])
 def test_silhouettes_are_those_of_the_truth(empty_scene, tmp_path, name):
     staging.build(empty_scene, "turntable", name, {**SMALL, "views": 2, "elevations": "15,50"})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from addon.errors import ScanstageError
-from addon.results.comparison import add_comparison, length, remove_comparison, render_comparison
+from addon.results.comparison import add_comparison, remove_comparison, render_comparison
 from addon.results.objects import add_polygon_mesh, add_voxel_mesh
 from addon.results.studio import RIGHT, UP
 
@@ -129,9 +129,3 @@ def test_errors_are_one_sentence(pair, tmp_path):
     with pytest.raises(ScanstageError, match="cannot be written"):
         render_comparison(tmp_path / "none" / "picture.png", size=(32, 16))
     assert inventory() == before
-
-
-@pytest.mark.parametrize(("metres", "text"), [(0.0005, "0.5 mm"), (0.01234, "12 mm"), (0.25, "250 mm"), (1.5, "1.5 m"),
-                                              (0.999, "1000 mm"), (25.0, "25 m")])
-def test_lengths_are_short(metres, text):
-    assert length(metres) == text

@@ -125,6 +125,8 @@ def test_fit_scales_a_file(wedge, tmp_path):
 
 def test_importing_keeps_the_selection(wedge, tmp_path):
     EXPORTERS[".ply"](str(tmp_path / "file.ply"))
+    wedge.location.x = 5  # where it is not in the way
+    bpy.context.view_layer.update()
     staging.build(bpy.context.scene, "turntable", str(tmp_path / "file.ply"), {"views": 2})
     assert bpy.context.view_layer.objects.active == wedge and bpy.context.selected_objects == [wedge]
 

@@ -117,6 +117,24 @@ def test_only_the_stage_is_rendered(furnished_scene):
     assert not floor.hide_render and lamp.hide_render
 
 
+def test_what_would_swallow_a_built_in_object_is_hidden_from_view_meanwhile(empty_scene):
+    bpy.ops.mesh.primitive_cube_add()  # Blender's first: the object of 0.2 m stands in it
+    cube = bpy.context.object
+    bpy.ops.mesh.primitive_plane_add(size=5)
+    floor = bpy.context.object
+    for _ in range(2):  # replacing a stage shows nothing, and hides it again
+        staging.build(empty_scene, "turntable", "knot", {"views": 2})
+        assert not cube.visible_get() and floor.visible_get()
+    staging.remove(empty_scene)
+    assert cube.visible_get() and not cube.keys() and not cube.select_get() and floor.select_get()
+    cube.select_set(True)
+    staging.build(empty_scene, "turntable", "knot", {"views": 2})
+    staging.remove(empty_scene)
+    assert cube.select_get()
+    staging.build(empty_scene, "turntable", cube, {"views": 2})
+    assert cube.visible_get()
+
+
 def test_a_deleted_collection_does_not_keep_objects_hidden(furnished_scene):
     stage = staging.build(furnished_scene, "turntable", "Cube", {"views": 2})
     for member in list(stage.all_objects):

@@ -14,6 +14,7 @@ from addon import workflow
 from addon.captures.scan import load_scan
 from addon.captures.store import read_capture, read_picture
 from addon.errors import Cancelled, ScanstageError
+from addon.reconstruction.evaluation import EXPLAINED
 from addon.reconstruction.methods import METHODS
 from addon.reconstruction.shadows import SHADOW_OPTIONS
 from addon.reconstruction.silhouettes import SILHOUETTE_OPTIONS
@@ -22,7 +23,7 @@ from addon.results.page import page_of
 from addon.results.pictures import picture_files
 from addon.results.ply import read_ply
 from addon.stage.presets import PRESETS
-from addon.ui import forecast
+from addon.ui import forecast, panels
 from addon.ui.operators.requirements import is_older
 
 
@@ -90,6 +91,20 @@ def test_from_stage_to_evaluation(captured, tmp_path):
 
     assert bpy.ops.scanstage.remove_stage() == {'FINISHED'}
     assert "Scanstage" not in bpy.data.collections and "Result" in bpy.data.objects
+
+
+def test_measures_are_shown_with_their_units(scene):
+    scene.unit_settings.scale_length = 0.01
+    texts = {"accuracy_90": (0.25, "2.5 mm"), "truth": (8.0, "8 cm\u00b3"), "completeness": (0.125, "12.5 %"), "count": (12345, "12,345"),
+             "rms": (None, "-"), "unheard_of": (0.5, "0.5")}
+    assert {name: panels.measure_text(scene, name, value) for name, (value, _) in texts.items()} == {
+        name: text for name, (_, text) in texts.items()}
+
+
+def test_every_measure_is_explained(captured, tmp_path):
+    workflow.reconstruct(tmp_path / "scanstage" / "capture", "visual-hull", tmp_path / "out", voxels=24)
+    measures = workflow.evaluate_result(tmp_path / "out", options={"samples": 1000})
+    assert {name for group in measures.values() for name in group} <= set(EXPLAINED)
 
 
 @pytest.fixture
@@ -233,7 +248,9 @@ def test_a_second_job_is_refused(captured):
     bpy.context.window_manager.scanstage_job.running = True
     with pytest.raises(RuntimeError, match="Another Scanstage job is running"):
         bpy.ops.scanstage.reconstruct()
+    assert bpy.ops.scanstage.stop() == {'FINISHED'} and bpy.context.window_manager.scanstage_job.stop
     bpy.context.window_manager.scanstage_job.running = False
+    assert not bpy.ops.scanstage.stop.poll()
 
 
 def test_bad_input_is_an_error_report(captured, tmp_path):

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the viewport draws of a rig: lines where the devices look, coverage and hull that follow, and nothing left in the file."""
 
+from functools import partial
+
 import bpy
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from addon.errors import ScanstageError
 from addon.reconstruction.geometry import VoxelGrid
 from addon.reconstruction.planning.coverage import Coverage
 from addon.stage import ownership, projector, readback, sketch, staging, survey
+from addon.stage.units import length_text
 from addon.ui import coverage, overlays, view_panels, watching
 
 
@@ -284,15 +287,12 @@ def test_counts_have_colours_of_their_own_and_amounts_a_ramp():
     assert [text for _, text in legend.entries][:3] == ["0", "1", "2"] and legend.entries[-1][1] == "24"
     for color, text in legend.entries[1:]:
         assert text not in ("1", "2", "24") or (colors[[1, 2, 24].index(int(text)) + 1] == pytest.approx(color))
-    colors, legend = coverage.colors_of(made(depth_error=np.array([1e-4, 2e-4, 3e-4, np.inf])), 'ERROR', overlays.length_text)
+    colors, legend = coverage.colors_of(made(depth_error=np.array([1e-4, 2e-4, 3e-4, np.inf])), 'ERROR', partial(length_text, bpy.context.scene))
     assert (colors[3] == coverage.NEVER).all() and legend.entries[0][1] == "no depth" and legend.entries[1][1] == "110 \u00b5m and less"
     assert colors[0].sum() > colors[1].sum() > colors[2].sum()  # the better, the brighter
+    passive = coverage.colors_of(made(depth_error=np.ones(4), active=False), 'ERROR', str)[1]
+    assert "light" in legend.note and "textured" in passive.note  # what each assumes
     assert len(coverage.colors_of(made(), 'PIXELS', str)[1].entries) == 1
-
-
-@pytest.mark.parametrize("value, text", [(0.0, "0 \u00b5m"), (2.5e-5, "25 \u00b5m"), (0.00123, "1.23 mm"), (2.0, "2 m")])
-def test_lengths_are_written_in_a_unit_that_suits_them(value, text):
-    assert overlays.length_text(value) == text
 
 
 def test_labels_do_not_cover_each_other():
@@ -307,7 +307,7 @@ def test_labels_do_not_cover_each_other():
 def test_the_panel_says_what_the_rig_misses(scene):
     staged(scene, "turntable", "knot", views=2)
     missed = watching.look(scene, coverage=0.25).missed
-    lines = dict(view_panels.missed_lines(missed))
+    lines = dict(view_panels.missed_lines(scene, missed))
     assert lines["Seen by no view"] == f"{100 * missed['seen_by_less_than_1']:.1f} %" and "Beyond projectors" not in lines
 
 

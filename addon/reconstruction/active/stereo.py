@@ -18,6 +18,7 @@ from ...errors import ScanstageError
 from ...options import Option, Unit
 from ...progress import Progress, silent
 from ..color import linear_to_srgb
+from ..neighbours import NARROWEST, WIDEST, nearest_views
 from ..scan import Scan, View
 from ..volumetric.visual_hull import working_bounds
 from .correspondence import Reason
@@ -28,12 +29,11 @@ from .structured_light import FILL
 OPTIONS = (
     Option("block", 5, "Side of the window that is matched: more is less noisy, and blunter at edges", unit=Unit.PIXELS, minimum=1,
            maximum=31),
-    Option("widest", np.radians(30.0), "Greatest angle between two views that are matched, seen from the object", unit=Unit.ANGLE,
+    Option("widest", WIDEST, "Greatest angle between two views that are matched, seen from the object", unit=Unit.ANGLE,
            minimum=np.radians(1.0), maximum=np.radians(80.0)),
     Option("texture", 1.5, "Least standard deviation of a window, in 8-bit levels, for its pixel to be matched", minimum=0.0, maximum=64.0),
     FILL,
 )
-_LEAST_ANGLE = np.radians(1.0)
 _MOST_DISPARITIES = 1024  # finer pictures are matched at a lower resolution
 _SIGMA = 0.25  # pixels: semi-global matching's sub-pixel estimate
 _UNIQUENESS = 10  # percent by which the best match must win
@@ -41,7 +41,7 @@ _SPECKLE = 100, 2  # pixels and disparities of islands that are dropped
 _FEW = 0.5  # share of a silhouette
 
 
-def measure_stereo(scan: Scan, *, block: int = 5, widest: float = float(np.radians(30.0)), texture: float = 1.5, fill: str = "shell",
+def measure_stereo(scan: Scan, *, block: int = 5, widest: float = WIDEST, texture: float = 1.5, fill: str = "shell",
                    progress: Progress = silent) -> Measurement:
     """Match every view with its nearest neighbour.
 
@@ -58,9 +58,9 @@ def measure_stereo(scan: Scan, *, block: int = 5, widest: float = float(np.radia
         No two views are near enough to each other, or nothing could be matched.
     """
     box = np.asarray(working_bounds(scan, rule="conservative", tolerance=0, outside="unknown") if scan.bounds is None else scan.bounds)
-    neighbours = nearest_views(scan, box.mean(axis=0), widest)
+    neighbours = nearest_views([view.camera for view in scan.views], box.mean(axis=0), widest)
     if not neighbours:
-        raise ScanstageError(f"no two views are {np.degrees(_LEAST_ANGLE):g} to {np.degrees(widest):g} degrees apart, seen from the "
+        raise ScanstageError(f"no two views are {np.degrees(NARROWEST):g} to {np.degrees(widest):g} degrees apart, seen from the "
                              "object; capture more views, or raise --set widest=...")
     parts = []
     for step, (number, other) in enumerate(neighbours):
@@ -72,16 +72,6 @@ def measure_stereo(scan: Scan, *, block: int = 5, widest: float = float(np.radia
         raise ScanstageError("no pixel could be matched: the surface shows too little texture for stereo without a projector; project a "
                              "pattern on it (gray-code, color-stripes, speckle), or lower --set texture=...")
     return Measurement.joined(parts)
-
-
-def nearest_views(scan: Scan, middle: np.ndarray, widest: float) -> list[tuple[int, int]]:
-    """Return each view's number with that of the view nearest to it, seen from a point, where one is near enough but not in its place."""
-    to_cameras = np.array([view.camera.centre for view in scan.views]) - middle
-    to_cameras /= np.linalg.norm(to_cameras, axis=1, keepdims=True)
-    angles = np.arccos(np.clip(to_cameras @ to_cameras.T, -1, 1))
-    angles[angles < _LEAST_ANGLE] = np.inf
-    nearest = angles.argmin(axis=1)
-    return [(number, int(other)) for number, other in enumerate(nearest) if angles[number, other] <= widest]
 
 
 def match_views(view: View, number: int, other: View, box: np.ndarray, *, block: int, texture: float) -> Measurement:

@@ -14,11 +14,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...errors import ScanstageError
+from ..neighbours import nearest_views
 from ..scan import Scan, View
 from .correspondence import Reason
 from .measurement import Measurement, measurement_of
 from .rectified_pair import box_between, rectified_picture, rectify
-from .stereo import nearest_views
 
 WIDEST = np.radians(45.0)
 """Between two cameras that are matched, seen from the object."""
@@ -49,7 +49,7 @@ def measure_pairs(scan: Scan, views: Sequence[tuple[int, View]], find: Find, pic
     """
     shown = Scan(tuple(view for _, view in views), scan.bounds)
     middle = _meeting(shown) if scan.bounds is None else np.mean(scan.bounds, axis=0)
-    pairs = nearest_views(shown, middle, WIDEST)
+    pairs = nearest_views([view.camera for view in shown.views], middle, WIDEST)
     if not pairs:
         raise ScanstageError(f"frame {views[0][1].name}: its stripes' projector is not calibrated, and no second camera within "
                              f"{np.degrees(WIDEST):g} degrees sees the same stripes; calibrate the projector, or add a camera")

@@ -7,9 +7,10 @@ triangles alone.
 """
 
 from .distances import SurfaceIndex, sample_surface, vertex_distances
+from .explained import EXPLAINED, Kind
 from .measures import OPTIONS, evaluate, point_measures, surface_measures, volume_measures
 from .overlap import touched
 from .voxelization import inside, wholly_inside
 
-__all__ = ["OPTIONS", "SurfaceIndex", "evaluate", "inside", "point_measures", "sample_surface", "surface_measures", "touched",
-           "vertex_distances", "volume_measures", "wholly_inside"]
+__all__ = ["EXPLAINED", "OPTIONS", "Kind", "SurfaceIndex", "evaluate", "inside", "point_measures", "sample_surface", "surface_measures",
+           "touched", "vertex_distances", "volume_measures", "wholly_inside"]

@@ -2,6 +2,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How well a rig covers an object: views, lights and projector pixels of each triangle, and the error of depth to be expected there.
 
+A rig with projectors or lasers measures by them. One without can only match what its pictures show alike: each view with its nearest
+neighbour, as the method ``stereo`` does, and on a surface with texture. Silhouettes measure no depth at all: their error is that of
+the hull, which no pixel's error tells.
+
 The error comes from the rig's geometry alone. A device that sees a point with an error of s pixels, each f across at the point, knows
 it to ``s f`` across its ray and not at all along it: its information about the point is ``(I - d d^T) / (s f)^2``, with the ray's
 direction d. That of all devices which work together adds up, and the inverse of the sum is the point's covariance (Hartley &
@@ -18,9 +22,10 @@ import numpy as np
 
 from ..geometry import Camera, Light
 from ..mesh import TriangleMesh
+from ..neighbours import nearest_views
 from .depth_buffer import Sight
 
-PIXEL_ERROR = 0.25  # pixels: between a stripe's centre, found to a tenth, and a match of pictures, right to about a half
+PIXEL_ERROR = 0.2  # pixels: a match is right to about a quarter, as difference of two such; a stripe's centre to a tenth
 _FAR = 1e3  # of the object's size: where a sun stands
 _EXACT = 0.03  # of a pixel's error: how well the sheet of a laser is known; far less would drown the rest in rounding
 _SINGULAR = 1e-10  # determinant over the cube of the trace: two rays at a hundredth of a degree
@@ -74,6 +79,8 @@ class Coverage:
         Pixels of the projector that lie on a unit of area, at the pose where they are most.
     depth_error : (n,) float64 array
         Standard deviation along the normal, in the scene's unit; infinite where the rig measures no depth.
+    active : bool
+        Whether depth is measured by projectors or lasers, and not by matching pictures of a textured surface.
     """
 
     areas: np.ndarray
@@ -81,6 +88,7 @@ class Coverage:
     lights: np.ndarray
     projector_pixels: np.ndarray
     depth_error: np.ndarray
+    active: bool = True
 
     def summary(self) -> dict[str, float | None]:
         """Return what the rig misses: shares of the surface's area, from 0 to 1, and the median error of depth where there is one."""
@@ -129,8 +137,8 @@ class Surveyor:
     def coverage(self, shots: Sequence[Shot], *, pixel_error: float = PIXEL_ERROR) -> Coverage:
         """Return what the shots cover.
 
-        With projectors or lasers in any of them, depth is measured within each shot, and the best one counts. Without, all
-        cameras measure together.
+        With projectors or lasers in any of them, depth is measured within each shot, without by each view and its nearest neighbour;
+        the best of these counts.
 
         Parameters
         ----------
@@ -140,7 +148,7 @@ class Surveyor:
         """
         count, used = len(self._points), set()
         views, lights, pixels = np.zeros(count, int), np.zeros(count, int), np.zeros(count)
-        best, together = np.full(count, np.inf), np.zeros((count, 3, 3))
+        best = np.full(count, np.inf)
         active, lit = any(shot.projectors or shot.sheets for shot in shots), set()
         for shot in shots:
             seen = self._in_picture(shot.camera, used)
@@ -149,10 +157,9 @@ class Surveyor:
                 if (key := self._key(place)) not in lit:
                     lit.add(key)
                     lights += self._seen_from(place, used)
-            information = self._by_ray(shot.camera, seen, pixel_error)
             if not active:
-                together += information
                 continue
+            information = self._by_ray(shot.camera, seen, pixel_error)
             sources = np.zeros_like(information)
             for projector in shot.projectors:
                 reached = self._in_picture(projector, used)
@@ -161,8 +168,19 @@ class Surveyor:
             for sheet in shot.sheets:
                 sources += self._by_sheet(sheet, shot.camera, self._seen_from(sheet.centre, used) & seen, pixel_error)
             best = np.minimum(best, self._error(information + sources))
+        if not active:
+            best = self._by_pairs([shot.camera for shot in shots], used, pixel_error)
         self._sights = {key: seen for key, seen in self._sights.items() if key in used}
-        return Coverage(self._areas, views, lights, pixels, best if active else self._error(together))
+        return Coverage(self._areas, views, lights, pixels, best, active)
+
+    def _by_pairs(self, cameras: Sequence[Camera], used: set[bytes], pixel_error: float) -> np.ndarray:
+        """Return the error (n,) of the best pair of neighbours that sees each triangle."""
+        best = np.full(len(self._points), np.inf)
+        for first, second in {tuple(sorted(pair)) for pair in nearest_views(cameras, self._middle)}:
+            pair = cameras[first], cameras[second]
+            seen = self._in_picture(pair[0], used) & self._in_picture(pair[1], used)
+            best = np.minimum(best, self._error(sum(self._by_ray(camera, seen, pixel_error) for camera in pair)))
+        return best
 
     def _key(self, place: np.ndarray) -> bytes:
         return np.round((place - self._middle) / self._size * 1e5).astype(np.int64).tobytes()

@@ -81,11 +81,10 @@ class SCANSTAGE_OT_import(Job, ImportHelper, bpy.types.Operator):
         return ImportHelper.invoke(self, context, event)
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
-        settings = context.scene.scanstage
-        folder = capture_folder(context.scene)
+        scene, folder = context.scene, capture_folder(context.scene)
         options = {"masks": self.masks, "undistort": self.undistort}
         yield from in_thread(import_capture, self.format, Path(self.filepath), folder, options)
-        note_capture(settings, folder)
+        note_capture(scene, folder)
 
 
 class SCANSTAGE_OT_export_capture(bpy.types.Operator, ExportHelper):
@@ -145,10 +144,9 @@ class SCANSTAGE_OT_show_masks(Job, bpy.types.Operator):
         return has_captures(cls, context) and idle(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Iterator[tuple[float, str]]:
-        settings = context.scene.scanstage
-        folder = capture_folder(context.scene)
-        yield from in_thread(load_scan, folder, values_of(settings.silhouettes, SILHOUETTE_OPTIONS))
-        show_masks(context.scene, folder)
+        scene, folder = context.scene, capture_folder(context.scene)
+        yield from in_thread(load_scan, folder, values_of(scene.scanstage.silhouettes, SILHOUETTE_OPTIONS))
+        show_masks(scene, folder)
 
 
 class SCANSTAGE_OT_show_shadows(Job, bpy.types.Operator):
@@ -171,19 +169,20 @@ class SCANSTAGE_OT_show_shadows(Job, bpy.types.Operator):
 
 def timed_capture(scene: bpy.types.Scene, most: int | None = None) -> Iterator[tuple[float, str]]:
     """Capture all frames, or the next ``most``, and note in the scene's settings what is there then and how long a frame took."""
-    settings, folder = scene.scanstage, capture_folder(scene)
+    folder = capture_folder(scene)
     before, started = _counted(folder)[0], time.perf_counter()
     try:
         yield from capture_frames(scene, folder, most=most)
     finally:
         rendered = _counted(folder)[0] - before
         if rendered > 0:
-            settings.frame_seconds = (time.perf_counter() - started) / rendered
-        note_capture(settings, folder)
+            scene.scanstage.frame_seconds = (time.perf_counter() - started) / rendered
+        note_capture(scene, folder)
 
 
-def note_capture(settings: bpy.types.PropertyGroup, folder: Path) -> None:
+def note_capture(scene: bpy.types.Scene, folder: Path) -> None:
     """Note in the scene's settings what a capture set holds."""
+    settings = scene.scanstage
     settings.capture_state = capture_state(folder)
     settings.capture_frames, _, settings.capture_pixels = _counted(folder)
 

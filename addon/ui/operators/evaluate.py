@@ -18,7 +18,7 @@ from ...results import folder as results
 from ...results.page import write_page
 from ...results.present import face_errors, show_comparison
 from ..jobs import Job, idle, in_thread
-from ..viewport import show_colors
+from ..viewport import frame_shown, show_colors
 from .requirements import has_result, result_folder
 
 
@@ -38,11 +38,12 @@ class SCANSTAGE_OT_evaluate(Job, bpy.types.Operator):
         folder = result_folder(context.scene)
         measures = yield from in_thread(workflow.evaluate_result, folder)
         found, truth, errors = yield from in_thread(_compare, folder)
-        show_comparison(scene, found, truth, errors)
+        self._row = show_comparison(scene, found, truth, errors)
         settings.measures = json.dumps(measures)
 
     def show(self, context: bpy.types.Context) -> None:
         show_colors(context)
+        frame_shown(context, self._row.objects, from_front=True)
 
 
 def _compare(folder: Path, progress):

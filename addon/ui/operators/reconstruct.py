@@ -19,11 +19,11 @@ from ...results import folder as results
 from ...results.booleans import solver
 from ...results.export import FORMATS, export_result
 from ...results.pictures import picture_files, show_pictures
-from ...results.present import show_result
+from ...results.present import show_result, shown_beside
 from ..jobs import Job, MainThread, idle, in_thread
 from ..probability import start_at_threshold
 from ..properties import changed_values, field_name, values_of
-from ..viewport import show_colors, show_image
+from ..viewport import frame_shown, show_colors, show_image
 from .requirements import capture_folder, has_captures, has_result, result_folder
 
 _INPUT_SETTINGS = {"silhouettes": "silhouettes", "lights": "shadows"}  # by what a method needs: the settings of how it is found
@@ -57,6 +57,7 @@ class SCANSTAGE_OT_reconstruct(Job, bpy.types.Operator):
 
     def show(self, context: bpy.types.Context) -> None:
         show_colors(context)
+        frame_shown(context, shown_beside(context.scene))
 
 
 class SCANSTAGE_OT_show_result(bpy.types.Operator):

@@ -9,7 +9,8 @@ from pathlib import Path
 import bpy
 
 from ...errors import ScanstageError
-from ...stage import staging
+from ...stage import ownership, staging
+from ...stage.carried import scannable
 from ...stage.presets import PRESETS
 from ..jobs import idle
 from ..properties import field_name, values_of
@@ -20,7 +21,7 @@ from .requirements import has_stage
 def build_chosen(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
     """Build the rig that the scene's settings choose, and return what ``operator`` is to return."""
     settings = context.scene.scanstage
-    subject = {'BUILTIN': settings.builtin, 'SCENE': settings.subject,
+    subject = {'BUILTIN': settings.builtin, 'SCENE': settings.subject, 'SELECTION': chosen_objects(context),
                'FILE': Path(bpy.path.abspath(settings.file))}[settings.source]
     preset = PRESETS[settings.preset]
     options = values_of(getattr(settings, field_name("preset", preset.name)), preset.options)
@@ -30,6 +31,14 @@ def build_chosen(operator: bpy.types.Operator, context: bpy.types.Context) -> se
         operator.report({'ERROR'}, str(error))
         return {'CANCELLED'}
     return {'FINISHED'}
+
+
+def chosen_objects(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """Return the selected objects that can be scanned; if there are none, those that are on the turntable already."""
+    if chosen := scannable(context.selected_objects):
+        return chosen
+    stage = ownership.find_stage(context.scene)
+    return [] if stage is None else [o for table in ownership.with_role(stage, "turntable") for o in ownership.attached(table)]
 
 
 class FramesStage:
@@ -58,6 +67,9 @@ class SCANSTAGE_OT_stage(FramesStage, bpy.types.Operator):
             return False
         if settings.source == 'SCENE' and settings.subject is None:
             cls.poll_message_set("Choose the object of this scene that is to be scanned")
+            return False
+        if settings.source == 'SELECTION' and not chosen_objects(context):
+            cls.poll_message_set("Select the objects that are to be scanned")
             return False
         if settings.source == 'FILE' and not settings.file:
             cls.poll_message_set("Choose the file of the object that is to be scanned")

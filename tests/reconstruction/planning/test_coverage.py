@@ -112,6 +112,19 @@ def test_one_camera_knows_no_depth_and_neither_do_two_in_one_place():
         assert np.isinf(found.depth_error).all() and found.summary()["median_depth_error"] is None
 
 
+def test_a_passive_rig_matches_neighbours_and_no_others():
+    """More views of the same kind do not measure better, and views that are too far apart do not measure at all."""
+    def ring(*angles):
+        return [Shot(camera_at((4 * np.sin(angle), 0.0, 4 * np.cos(angle)), (0, 0, 0), focal=300.0)) for angle in np.radians(angles)]
+
+    mesh = plate(half=0.01)
+    pairs = np.array([surveyed(mesh, ring(start, start + 20)).depth_error for start in (-50, -30, -10, 10, 30)])
+    assert np.isfinite(pairs).all()
+    many = surveyed(mesh, ring(-50, -30, -10, 10, 30, 50))
+    assert not many.active and many.depth_error == pytest.approx(pairs.min(axis=0))
+    assert np.isinf(surveyed(mesh, ring(-20, 20)).depth_error).all()
+
+
 def test_an_active_rig_measures_within_a_shot():
     """The same point seen from two sides is not measured where each side lacks its light."""
     shots = [Shot(parallel(-1.0, 4.0, 300.0)), Shot(parallel(1.0, 4.0, 300.0), projectors=(parallel(50.0, 4.0, 300.0),))]
