@@ -70,6 +70,7 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     import bpy
 
     from ..results.blend import frame_scene, new_file, save_blend
+    from ..stage.fingerprint import stamp
     from ..stage.readback import plan_of
     from ..stage.staging import build
     from ..stage.survey import survey
@@ -80,6 +81,7 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     plan = plan_of(bpy.context.scene)
     missed = survey(bpy.context.scene).summary() if call.coverage else {}
     frame_scene(bpy.context.scene)
+    stamp(bpy.context.scene)
     save_blend(call.out)
     return {"file": str(call.out), "frames": len(plan.frames), "cameras": len(plan.cameras), **({"coverage": missed} if missed else {}),
             "lines": [f"{call.out}: {call.preset}, {len(plan.frames)} frames, {len(plan.cameras)} camera(s)",
@@ -89,6 +91,7 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
 def _capture_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.blend", type=Path, help="a staged scene")
     parser.add_argument("--out", metavar="CAPTURE", required=True, type=Path, help="the capture set; what is there is kept")
+    parser.add_argument("--frames-from", metavar="DIR", type=Path, help="take in the frames that a render farm has written there")
 
 
 def _capture(call: argparse.Namespace, progress: Progress) -> dict:
@@ -96,17 +99,20 @@ def _capture(call: argparse.Namespace, progress: Progress) -> dict:
 
     from ..captures.store import read_capture
     from ..render.capture import capture_frames
+    from ..render.farm import FarmFrames
     from ..results.blend import open_blend
     from ..stage.ownership import find_stage
 
     _no_settings(call, "capture")
+    farm = FarmFrames(call.frames_from) if call.frames_from else None
     open_blend(call.file)
     if find_stage(bpy.context.scene) is None:
         raise ScanstageError(f"{call.file}: scene {bpy.context.scene.name!r} has no stage; make a file with "
                              f"`scanstage stage PRESET --out {call.file}`")
-    drain(capture_frames(bpy.context.scene, call.out), progress)
+    drain(capture_frames(bpy.context.scene, call.out, farm=farm), progress)
     frames = len(read_capture(call.out).frames)
-    return {"capture": str(call.out), "frames": frames, "lines": [f"{call.out}: {frames} frames, all whole"]}
+    return {"capture": str(call.out), "frames": frames, **(farm.report() if farm else {}),
+            "lines": [f"{call.out}: {frames} frames, all whole", *(farm.lines() if farm else ())]}
 
 
 def _import_arguments(parser: argparse.ArgumentParser) -> None:

@@ -17,12 +17,15 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..captures.pictures import picture_header
 from ..captures.schema import Capture, Frame
 from ..captures.store import is_capture, picture_is_whole, read_capture, write_capture
 from ..errors import ScanstageError
 from ..results.ply import read_ply, write_ply
 from ..stage import ownership
+from ..stage.fingerprint import NOTE, fingerprint
 from ..stage.readback import CapturePlan, plan_of, staged_objects, truth_mesh
+from .farm import FarmFrames
 from .settings import capture_settings, hidden
 
 TRUTH = "truth.ply"
@@ -30,7 +33,7 @@ _SAME = 1e-6  # metres, pixels and matrix elements: what a plan may differ by an
 
 
 def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool = True,
-                   most: int | None = None) -> Iterator[tuple[float, str]]:
+                   most: int | None = None, farm: FarmFrames | None = None) -> Iterator[tuple[float, str]]:
     """Render the scene's plan into a capture set, one picture a step.
 
     Parameters
@@ -43,6 +46,8 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
         Whether whole pictures that are there are kept. A set of another plan is then refused; without it, overwritten.
     most : int, optional
         How many frames are rendered; all that are missing otherwise. The set lists those that it then still lacks.
+    farm : FarmFrames, optional
+        Where frames are that were rendered elsewhere: what of them can be used is taken before anything is rendered.
 
     Yields
     ------
@@ -53,23 +58,29 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
     Raises
     ------
     ScanstageError
-        The scene has no stage, the folder holds a capture of something else or cannot be written, or a render fails.
+        The scene has no stage, the folder holds a capture of something else or cannot be written, a render fails, or the
+        scene carries no fingerprint by which a farm's frames could be told.
     """
     folder = Path(folder)
     plan = plan_of(scene)
     truth = truth_mesh(scene) if plan.board is None else None
-    planned = _capture(scene, plan)
+    planned, note = _capture(scene, plan), fingerprint(plan, truth)
+    if farm is not None:
+        _check_stamped(scene, farm, note)
     if resume:
         _check_same(folder, planned, truth)
     _make_folders(folder, planned)
     if truth is not None:
         write_ply(folder / TRUTH, *truth, double=True)
     sizes = {frame.id: plan.cameras[frame.camera].size for frame in plan.frames}
-    missing = [frame.id for frame in planned.frames
-               if not (resume and picture_is_whole(folder / frame.image, sizes[frame.id]))]
+    known = _rendered(folder) if resume else set()
+    missing = [frame.id for frame in planned.frames if not (
+        resume and _is_there(folder / frame.image, sizes[frame.id], note, known=frame.id in known))]
     _write(folder, planned, missing)
     try:
-        with capture_settings(scene):
+        if farm is not None:
+            yield from _take_frames(farm, folder, plan, planned, missing, note)
+        with capture_settings(scene, note):
             yield from _render_plates(scene, folder, plan, planned, resume)
             yield from _render_frames(scene, folder, plan, planned, missing, most)
     finally:
@@ -100,6 +111,37 @@ def _silhouette(backdrop: str, with_plates: bool) -> str:
     if backdrop == "black":
         return "plate" if with_plates else "threshold"
     return "chroma" if backdrop == "blue" else "alpha"
+
+
+def _rendered(folder: Path) -> set[str]:
+    """Return the ids of the frames that a set says it has."""
+    if not is_capture(folder):
+        return set()
+    found = read_capture(folder, require_pictures=False)
+    return {frame.id for frame in found.frames}.difference(found.missing)
+
+
+def _is_there(path: Path, size: tuple[int, int], note: str, *, known: bool) -> bool:
+    """Return whether a frame need not be rendered: its picture is whole, and not of another plan, as far as it or the set says."""
+    header = picture_header(path)
+    return header is not None and header.fits(size) and (known or header.texts.get(NOTE, note) == note)
+
+
+def _check_stamped(scene: bpy.types.Scene, farm: FarmFrames, note: str) -> None:
+    if scene.render.stamp_note_text != note:
+        raise ScanstageError(f"scene {scene.name!r}: its plan has changed since it was saved with a fingerprint, or never had one, so the "
+                             f"frames in {farm.folder} cannot be told from those of another plan; stage it again, or save it with the "
+                             "extension enabled, and let the farm render that file")
+
+
+def _take_frames(farm: FarmFrames, folder: Path, plan: CapturePlan, planned: Capture, missing: list[str],
+                 note: str) -> Iterator[tuple[float, str]]:
+    """Copy what a farm has rendered of the missing frames, and take each out of ``missing``."""
+    total, wanted = len(planned.frames), set(missing)
+    for frame, entry in zip(plan.frames, planned.frames, strict=True):
+        if entry.id in wanted and farm.take(frame.number, folder / entry.image, plan.cameras[frame.camera].size, note):
+            missing.remove(entry.id)
+            yield (total - len(missing)) / total, f"taking frame {entry.id} from {farm.folder}"
 
 
 def _write(folder: Path, planned: Capture, missing: list[str]) -> None:
