@@ -10,8 +10,10 @@ rendered it: a render farm that was given the .blend writes the same names.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -29,11 +31,35 @@ from .farm import FarmFrames
 from .settings import capture_settings, hidden
 
 TRUTH = "truth.ply"
+Renderer = Callable[[Sequence["Shot"], str], Generator[str | None, None, None]]
 _SAME = 1e-6  # metres, pixels and matrix elements: what a plan may differ by and be the same
 
 
+@dataclass(frozen=True)
+class Shot:
+    """One frame that is to be rendered.
+
+    Parameters
+    ----------
+    id : str
+        In the capture set.
+    number : int
+        Of the timeline.
+    path : Path
+        Where its picture is to be.
+    size : (int, int)
+        Of the picture.
+    """
+
+    id: str
+    number: int
+    path: Path
+    size: tuple[int, int]
+
+
 def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool = True,
-                   most: int | None = None, farm: FarmFrames | None = None) -> Iterator[tuple[float, str]]:
+                   most: int | None = None, farm: FarmFrames | None = None,
+                   renderer: Renderer | None = None) -> Iterator[tuple[float, str]]:
     """Render the scene's plan into a capture set, one picture a step.
 
     Parameters
@@ -48,6 +74,8 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
         How many frames are rendered; all that are missing otherwise. The set lists those that it then still lacks.
     farm : FarmFrames, optional
         Where frames are that were rendered elsewhere: what of them can be used is taken before anything is rendered.
+    renderer : callable, optional
+        Does what `render_frames` does with the missing frames, elsewhere. Clean plates are rendered here all the same.
 
     Yields
     ------
@@ -82,7 +110,9 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
             yield from _take_frames(farm, folder, plan, planned, missing, note)
         with capture_settings(scene, note):
             yield from _render_plates(scene, folder, plan, planned, resume)
-            yield from _render_frames(scene, folder, plan, planned, missing, most)
+        shots = _shots(folder, plan, planned, missing[:most])
+        with closing((renderer or partial(render_frames, scene))(shots, note)) as done:
+            yield from _counted(done, len(planned.frames), missing)
     finally:
         _write(folder, planned, missing)
     whole = len(planned.frames) - len(missing)
@@ -150,17 +180,30 @@ def _write(folder: Path, planned: Capture, missing: list[str]) -> None:
     write_capture(folder, replace(planned, missing=tuple(missing), plates=plates))
 
 
-def _render_frames(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, planned: Capture,
-                   missing: list[str], most: int | None) -> Iterator[tuple[float, str]]:
-    """Render the missing frames, or the first ``most`` of them, and take each out of ``missing`` once it is on disk."""
-    total, wanted = len(planned.frames), set(missing[:most])
+def render_frames(scene: bpy.types.Scene, shots: Sequence[Shot], note: str) -> Iterator[str]:
+    """Render shots with the capture settings; yield the id of each whose picture is on disk. ``note`` goes into each file."""
+    with capture_settings(scene, note):
+        for shot in shots:
+            _render(scene, shot.number, shot.path, shot.size)
+            yield shot.id
+
+
+def _shots(folder: Path, plan: CapturePlan, planned: Capture, wanted: Collection[str]) -> list[Shot]:
+    wanted = set(wanted)
+    return [Shot(entry.id, frame.number, folder / entry.image, plan.cameras[frame.camera].size)
+            for frame, entry in zip(plan.frames, planned.frames, strict=True) if entry.id in wanted]
+
+
+def _counted(done: Iterator[str | None], total: int, missing: list[str]) -> Iterator[tuple[float, str]]:
+    """Take each frame that is done out of ``missing``, and say how far it is."""
+    message = f"{total - len(missing)} of {total} frames are there already" if len(missing) < total else "Waiting for the first frame"
     if len(missing) < total:
-        yield (total - len(missing)) / total, f"{total - len(missing)} of {total} frames are there already"
-    for frame, entry in zip(plan.frames, planned.frames, strict=True):
-        if entry.id in wanted:
-            _render(scene, frame.number, folder / entry.image, plan.cameras[frame.camera].size)
-            missing.remove(entry.id)
-            yield (total - len(missing)) / total, f"frame {entry.id}, {total - len(missing)} of {total}"
+        yield (total - len(missing)) / total, message
+    for id in done:
+        if id is not None:
+            missing.remove(id)
+            message = f"frame {id}, {total - len(missing)} of {total}"
+        yield (total - len(missing)) / total, message
 
 
 def _render_plates(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, planned: Capture,

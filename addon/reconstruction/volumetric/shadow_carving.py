@@ -14,7 +14,7 @@ holds the object whole, which the next round relies on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -30,6 +30,7 @@ from ..outcome import Outcome, VoxelLayer
 from ..scan import LitPicture, Scan, View
 from . import visual_hull as hull
 from .light_image import SeenSurface, VirtualLight, distant, free_depth, freed_points, wholly_free
+from .octree import Counts
 from .surface import Surface, extract_surface
 from .volume import SparseVolume
 
@@ -57,8 +58,18 @@ def working_bounds(scan: Scan, *, tolerance: int, outside: str, **_: Value) -> n
     return hull.working_bounds(scan, rule="conservative", tolerance=tolerance, outside=outside)
 
 
+Removals = Iterator[tuple[int, str, np.ndarray]]
+"""The number of a view, a light's id and the (n, 3) voxels that these two remove and no earlier ones did."""
+
+
+def judge_views(volume: SparseVolume, views: Sequence[View], *, strict: bool, removed: np.ndarray | None, progress: Progress) -> Removals:
+    """Yield what one round removes from a volume; ``removed`` (n, 3) is what the last round did."""
+    yield from Sight.of(volume, strict=strict, removed=removed).removals(views, progress)
+
+
 def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", rounds: int = 8, tolerance: int = 0,
-                   outside: str = "unknown", progress: Progress = silent) -> Outcome:
+                   outside: str = "unknown", carver: Callable[..., tuple[SparseVolume, Counts]] = hull.carve_silhouettes,
+                   judge: Callable[..., Removals] = judge_views, progress: Progress = silent) -> Outcome:
     """Carve the visual hull of a scan, then what its shadows prove to be empty.
 
     Parameters
@@ -71,6 +82,8 @@ def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", 
         The most rounds over all views and lights.
     tolerance, outside
         Of the hull, see `visual_hull.visual_hull`.
+    carver, judge : callable
+        Do what `visual_hull.carve_silhouettes` and `judge_views` do, elsewhere.
 
     Returns
     -------
@@ -86,15 +99,16 @@ def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", 
         that cannot be used, or no shadow is seen.
     """
     check_lights(scan)
-    found = hull.visual_hull(scan, grid, rule="conservative", tolerance=tolerance, outside=outside, progress=part_of(progress, 0, 0.1))
+    found = hull.visual_hull(scan, grid, rule="conservative", tolerance=tolerance, outside=outside, carver=carver,
+                            progress=part_of(progress, 0, 0.1))
     lights = list(dict.fromkeys(lit.light_id for view in scan.views for lit in view.lit))
     volume, done, pictures = found.volume, [], {}
     for number in range(rounds):
         share = 0.1 + 0.9 * (1 - 0.5 ** number)  # most is done in the first rounds, and how many there will be is not known
-        sight = Sight.of(volume, strict=shadow_rule == "strict", removed=done[-1].voxels if done else None)
-        removals = list(sight.removals(scan.views, part_of(progress, share, (share + 1) / 2)))
+        what = {"strict": shadow_rule == "strict", "removed": done[-1].voxels if done else None}
+        removals = list(judge(volume, scan.views, **what, progress=part_of(progress, share, (share + 1) / 2)))
         done.append(_layer(removals, number, lights))
-        pictures = pictures or sight.pictures(scan.views)
+        pictures = pictures or Sight.of(volume, **what).pictures(scan.views)
         volume = volume.without(done[-1].voxels)
         if not len(done[-1].voxels):
             break
@@ -186,8 +200,8 @@ class Sight:
             entries = np.flatnonzero(np.isin(_flat(surface.voxels, grid), beside))
         return cls(volume, surface, grid.centres(surface.voxels), entries, box, strict)
 
-    def removals(self, views: Sequence[View], progress: Progress) -> Iterator[tuple[int, str, np.ndarray]]:
-        """Yield the number of a view, a light's id and the (n, 3) voxels that no earlier ones removed."""
+    def removals(self, views: Sequence[View], progress: Progress) -> Removals:
+        """Yield what each view and light removes that no earlier ones did."""
         remaining = self.volume
         for number, view in enumerate(views):
             progress(number / len(views), f"Carving by the shadows of frame {view.name}")
