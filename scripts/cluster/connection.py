@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -20,6 +21,7 @@ LOOK = 0.2  # seconds between looks whether the user wants to stop
 _ANSWER = 5  # seconds in which a scheduler answers
 _FIRST_WORKER = 15  # seconds in which one worker is there
 _NO_WORKER = 30  # seconds without any before the work is given up
+_ENDS = ("finished", "error", "cancelled")
 START = "python3 scripts/scanstage.py worker {}"
 
 
@@ -80,9 +82,9 @@ class Connection:
                 self._client.cancel(list(futures), force=True)
 
     def _ready(self, futures: Iterable[Future]) -> list[Future]:
-        with suppress(TimeoutError, CancelledError):  # of those that were lost their status tells
+        with suppress(TimeoutError, CancelledError):  # of one that is cancelled its status tells
             wait(futures, timeout=LOOK, return_when="FIRST_COMPLETED")
-        return [future for future in futures if future.status != "pending"]
+        return [future for future in futures if future.status in _ENDS]  # one that is "lost" is being done again
 
     def _somebody(self) -> bool:
         try:
@@ -92,19 +94,17 @@ class Connection:
                                  "command again") from None
 
     def _result(self, future: Future) -> object:
-        if future.status == "error":
-            error = future.exception()
-            if isinstance(error, KilledWorker):
-                raise ScanstageError("--scheduler: several workers died of the same piece of work; give them more memory, or ask for "
-                                     "fewer voxels") from None
-            if isinstance(error, MemoryError):
-                raise ScanstageError("--scheduler: a worker has not enough memory for its piece of the work; give it more, or ask for "
-                                     "fewer voxels") from None
-            raise error
-        if future.status != "finished":
+        try:
+            return future.result()
+        except KilledWorker:
+            raise ScanstageError("--scheduler: several workers died of the same piece of work; give them more memory, or ask for fewer "
+                                 "voxels") from None
+        except MemoryError:
+            raise ScanstageError("--scheduler: a worker has not enough memory for its piece of the work; give it more, or ask for fewer "
+                                 "voxels") from None
+        except CancelledError:
             raise ScanstageError(f"--scheduler: the workers at {self._address} that held the captures died, all of them; start some with "
-                                 f"`{START.format(self._address)}` and give the same command again")
-        return future.result()
+                                 f"`{START.format(self._address)}` and give the same command again") from None
 
 
 @contextmanager
@@ -116,6 +116,8 @@ def connected(address: str) -> Iterator[Connection]:
     ScanstageError
         There is none, it has no workers, or they are of another version or Blender.
     """
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.ERROR)  # that a worker died is no news: others do its work
     try:
         client = Client(address, timeout=_ANSWER)
     except (OSError, ValueError, TypeError) as error:
@@ -123,6 +125,7 @@ def connected(address: str) -> Iterator[Connection]:
                              "scripts/scanstage.py scheduler`, and give the address that it prints") from None
     try:
         _check_workers(client, address)
+        client.amm.stop()  # the scheduler's habit to drop copies: with a worker that dies the only one of the masks would be gone
         yield Connection(client, address)
     finally:
         client.close()
