@@ -31,9 +31,9 @@ def main(arguments: Sequence[str]) -> int:
         asyncio.run(call.serve(call))
     except KeyboardInterrupt:
         return 130
-    except (OSError, ValueError, TypeError) as error:  # TimeoutError is an OSError
-        print(f"scanstage: error: {call.address}: cannot be used ({str(error).splitlines()[0][:200] if str(error) else 'no answer'}); "
-              f"{call.remedy}", file=sys.stderr)
+    except (OSError, ValueError, TypeError, RuntimeError) as error:  # the last wraps what it is really about
+        reason = str(error.__cause__ or error).splitlines() or ["no answer"]
+        print(f"scanstage: error: {call.address}: cannot be used ({reason[0][:200]}); {call.remedy}", file=sys.stderr)
         return 1
     return 0
 
@@ -49,8 +49,8 @@ def _parser() -> argparse.ArgumentParser:
     worker = verbs.add_parser("worker", help=VERBS["worker"], description=VERBS["worker"] + ".")
     worker.add_argument("address", metavar="ADDRESS", help="the scheduler's, such as tcp://10.0.0.1:8786")
     worker.add_argument("--host", help="this machine's address as the others see it (default: that of the way to the scheduler)")
-    worker.add_argument("--memory", metavar="SIZE", help="the most it may take, such as 2GiB; work that needs more fails in it, and it "
-                        "goes on (default: no limit)")
+    worker.add_argument("--memory", metavar="SIZE", type=parse_bytes,
+                        help="the most it may take, such as 2GiB; work that needs more fails in it, and it goes on (default: no limit)")
     worker.set_defaults(serve=_worker, remedy="start one there with `python3 scripts/scanstage.py scheduler`, or correct the address")
     return parser
 
@@ -65,7 +65,7 @@ async def _scheduler(call: argparse.Namespace) -> None:
 
 async def _worker(call: argparse.Namespace) -> None:
     if call.memory:
-        _limit_memory(parse_bytes(call.memory))
+        _limit_memory(call.memory)
     address = normalize_address(call.address)
     host = call.host or get_ip(get_address_host(address))
     async with asyncio.timeout(_ANSWER):
