@@ -23,8 +23,8 @@ from addon.results.blend import open_blend, save_blend
 from addon.stage import staging
 from addon.stage.fingerprint import stamp
 
-SMALL = {"views": 3, "lights": 2, "resolution_x": 96, "resolution_y": 72}
-FRAMES = 9  # of each pose, one under both lights and one under each
+SMALL = {"views": 4, "lights": 2, "resolution_x": 96, "resolution_y": 72}
+FRAMES = 12  # of each pose, one under both lights and one under each
 RENDER = """
 import bpy, sys
 file, output, first, last = sys.argv[1:]
@@ -84,13 +84,13 @@ def staged(tmp_path_factory):
 def test_chunks_of_a_farm_give_what_capture_gives(staged, tmp_path, render):
     file, here = tmp_path / "pot.blend", staged[1]
     shutil.copy(staged[0], file)
-    for first, last in ((7, 8), (1, 3), (4, 5), (1, 3)):  # out of order, one chunk twice, frames 6 and 9 never
+    for first, last in ((7, 8), (10, 12), (1, 3), (4, 5), (1, 3)):  # out of order, one chunk twice, frames 6 and 9 never
         render(str(file), str(tmp_path / "farm" / "######"), first, last)
     cut = tmp_path / "farm" / "000004.png"
     cut.write_bytes(cut.read_bytes()[:-40])
     farm = FarmFrames(tmp_path / "farm")
     messages = [message for _, message in capture(file, tmp_path / "set", farm)]
-    assert farm.taken == 6 and farm.refused == {str(cut): "is cut short or damaged"}
+    assert farm.taken == 9 and farm.refused == {str(cut): "is cut short or damaged"}
     rendered = [message.split()[1].rstrip(",") for message in messages if message.startswith("frame ")]
     assert rendered == ["0004", "0006", "0009"]
     found, expected = pixels(tmp_path / "set"), pixels(here)
