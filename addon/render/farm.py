@@ -92,7 +92,7 @@ class FarmFrames:
                 yield path, data, "is cut short or damaged"
             elif (header.width, header.height) != tuple(size):
                 yield path, data, f"is {header.width}x{header.height} pixels instead of {size[0]}x{size[1]}"
-            elif header.texts.get(NOTE) != note or header.texts.get("Frame", "").lstrip("0") != str(number):  # 07 of 32
+            elif header.texts.get(NOTE) != note or (header.texts.get("Frame", "").lstrip("0") or "0") != str(number):  # 07 of 32
                 yield path, data, "is of another plan or another frame"
             else:
                 yield path, data, None
