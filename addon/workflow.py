@@ -41,7 +41,8 @@ def reconstruct_options(method: str) -> tuple[Option, ...]:
 
 
 def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.DEFAULT_VOXELS, bounds: np.ndarray | None = None,
-                options: Mapping[str, Value] | None = None, solids: Solids | None = None, progress: Progress = silent) -> dict:
+                options: Mapping[str, Value] | None = None, solids: Solids | None = None, workers: object | None = None,
+                progress: Progress = silent) -> dict:
     """Reconstruct a capture set into a result folder.
 
     Parameters
@@ -56,6 +57,8 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
         See `reconstruct_options`.
     solids : Solids, optional
         For a method that cuts solids, where this is not Blender's main thread; otherwise Blender is asked here.
+    workers : object, optional
+        See `methods.reconstruct`.
 
     Returns
     -------
@@ -77,7 +80,7 @@ def reconstruct(capture: Path, method: str, out: Path, *, voxels: int = methods.
         solids = _blender_solids(method)
     scan = load_scan(capture, inputs.get("silhouettes"), part_of(progress, 0.0, 0.2), silhouettes="silhouettes" in inputs,
                      shadow_options=inputs.get("lights"))
-    found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, solids=solids,
+    found = methods.reconstruct(scan, method, voxels=voxels, bounds=bounds, options=own, solids=solids, workers=workers,
                                 progress=part_of(progress, 0.2, 0.9))
     progress(0.92, "Writing the result")
     report = {**found.report, "capture": _seen_from(out, capture), "silhouette": inputs.get("silhouettes", {}),

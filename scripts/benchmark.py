@@ -8,6 +8,7 @@
     python3 scripts/benchmark.py coloring     voxel coloring at the size of the paper of 1997: a compiled projection and gather
     python3 scripts/benchmark.py shadows      shadow carving: the hull alone, and its growth with views and lights
     python3 scripts/benchmark.py              all of them
+    python3 scripts/benchmark.py cluster      workers beside one process: volumes and captures (with Blender, and by itself)
 
 Medians of several runs after a warm-up. Only the ratios mean anything on another machine. It makes an environment of its
 own (without Blender) for the peers, and says which of them were not there.
@@ -25,11 +26,15 @@ KERNELS = ("carve", "mesh", "decode", "coloring", "shadows")
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kernel", nargs="?", choices=[*KERNELS, "all"], default="all")
+    parser.add_argument("kernel", nargs="?", choices=[*KERNELS, "cluster", "all"], default="all")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--alone", metavar="N", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--dense", action="store_true", help=argparse.SUPPRESS)
     call = parser.parse_args()
+    if call.kernel == "cluster":
+        import session
+
+        return session.end(session.run(__file__, lambda bar: time_cluster(call.runs)))
     if importlib.util.find_spec("cv2") is None or importlib.util.find_spec("skimage") is None:
         return run_in_environment()
     load_addon()
@@ -53,6 +58,17 @@ def run_in_environment():
         print(f"benchmark: error: {error}", file=sys.stderr)
         return 1
     return subprocess.call([python, Path(__file__).resolve(), *sys.argv[1:]])
+
+
+def time_cluster(runs):
+    import site
+
+    import environment
+    from benchmarks import cluster
+
+    site.addsitedir(str(environment.install_cluster()))
+    cluster.time_cluster(runs)
+    return 0
 
 
 def load_addon():

@@ -128,6 +128,19 @@ def install_opencv(folder):
     return folder
 
 
+def install_cluster(python=sys.executable, say=lambda line: print(line, file=sys.stderr)):
+    """Install what `scripts/cluster` needs for an interpreter into a folder of its own, unless it is there; return the folder."""
+    file, folder = REQUIREMENTS / "cluster.txt", ROOT / ".venv" / ("cluster-%d.%d" % version_of(python))
+    stamp, digest = folder / "cluster.installed", hashlib.sha256(file.read_bytes()).hexdigest()
+    if not (stamp.exists() and stamp.read_text() == digest):
+        say("Installing %s (once) ..." % ", ".join(_packages(file)))
+        shutil.rmtree(str(folder), ignore_errors=True)
+        _run([python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--target", folder, "-r", file],
+             "the packages in %s could not be installed; is the network there?" % file.relative_to(ROOT))
+        stamp.write_text(digest)
+    return folder
+
+
 def _packages(file):
     return [line.strip() for line in file.read_text().splitlines() if line.strip() and not line.startswith("#")]
 

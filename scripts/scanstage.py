@@ -5,7 +5,8 @@
     python3 scripts/scanstage.py demo                                       makes its own environment on first use
     blender --background --python scripts/scanstage.py -- demo              inside a real Blender
 
-Both run `addon.cli.main`, as `blender --command scanstage` does once the extension is installed.
+Both run `addon.cli.main`, as `blender --command scanstage` does once the extension is installed. Here alone are the verbs `scheduler` and
+`worker`, and what `--scheduler` needs.
 """
 
 import importlib.util
@@ -29,22 +30,35 @@ def load(name, file):
     return module
 
 
+def load_cluster(environment, arguments):
+    """Return the package `cluster` where a call needs it, with dask in reach: installed on first use, in a folder of its own."""
+    serving = arguments[:1] in (["worker"], ["scheduler"])
+    if not (serving or any(argument.startswith("--sched") for argument in arguments)):
+        return None
+    site.addsitedir(str(environment.install_cluster()))
+    return load("cluster", ROOT / "scripts" / "cluster" / "__init__.py")
+
+
 def main():
     has_blender = importlib.util.find_spec("bpy") is not None
+    in_blender = "--" in sys.argv and Path(sys.argv[0]).name.lower().startswith("blender")
+    arguments = sys.argv[sys.argv.index("--") + 1:] if in_blender else sys.argv[1:]
     environment = load("environment", ROOT / "scripts" / "environment.py")
     try:
         if not has_blender:
             return environment.run_again(__file__)
         if importlib.util.find_spec("cv2") is None:
             site.addsitedir(str(environment.install_opencv(ROOT / ".venv" / ("opencv-%d.%d" % sys.version_info[:2]))))
+        load("addon", ROOT / "addon" / "__init__.py")
+        cluster = load_cluster(environment, arguments)
     except environment.SetupError as error:
         print("scanstage: error: %s" % error, file=sys.stderr)
         return 1
-    load("addon", ROOT / "addon" / "__init__.py")
     cli = importlib.import_module("addon.cli")
-    in_blender = "--" in sys.argv and Path(sys.argv[0]).name.lower().startswith("blender")
     try:
-        return cli.main(sys.argv[sys.argv.index("--") + 1:] if in_blender else sys.argv[1:])
+        if cluster is not None and arguments[0] in cluster.VERBS:
+            return cluster.main(arguments)
+        return cli.main(arguments, cluster=cluster)
     finally:
         if "bpy" in sys.modules:
             shutil.rmtree(sys.modules["bpy"].app.tempdir, ignore_errors=True)  # the end below leaves Blender no time for it

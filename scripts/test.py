@@ -30,6 +30,7 @@ def main():
     for version, python in pythons.items():
         try:
             interpreter = environment.prepare(python, extras=("development", "experiments"))
+            environment.install_cluster(interpreter)
         except environment.SetupError as error:
             print("scanstage: error: %s" % error, file=sys.stderr)
             return 1

@@ -12,7 +12,8 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm", ".pgm")
 
@@ -27,11 +28,18 @@ class Header:
         In pixels.
     whole : bool
         Whether every byte that the format announces is there; for PNG also whether every checksum is right.
+    texts : mapping of str to str
+        What a PNG file's plain texts say, by their keywords; Blender notes the frame's number there, among other things.
     """
 
     width: int
     height: int
     whole: bool
+    texts: Mapping[str, str] = field(default_factory=dict)
+
+    def fits(self, size: tuple[int, int]) -> bool:
+        """Return whether the picture is of that width and height, with nothing cut off."""
+        return self.whole and (self.width, self.height) == tuple(size)
 
 
 def read_header(data: bytes) -> Header | None:
@@ -51,16 +59,19 @@ def _png(data: bytes) -> Header | None:
     if data[12:16] != b"IHDR":
         return None
     width, height = struct.unpack_from(">II", data, 16)
-    view, at = memoryview(data), 8
+    view, at, texts = memoryview(data), 8, {}
     while at + 12 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, at)
         end = at + 12 + length
         if end > len(data) or zlib.crc32(view[at + 4:end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
-            return Header(width, height, False)
+            return Header(width, height, False, texts)
         if kind == b"IEND":
-            return Header(width, height, True)
+            return Header(width, height, True, texts)
+        if kind == b"tEXt":
+            keyword, _, text = data[at + 8:end - 4].decode("latin-1").partition("\0")
+            texts[keyword] = text
         at = end
-    return Header(width, height, False)
+    return Header(width, height, False, texts)
 
 
 def _jpeg(data: bytes) -> Header | None:

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import ScanstageError
 from ..reconstruction.color import linear_to_srgb, srgb_to_linear
 from .files import read_bytes, write_bytes
-from .picture_format import read_header
+from .picture_format import Header, read_header
 from .schema import ENCODINGS, MAX_PIXELS
 
 MAX_FILE_BYTES = 1 << 31
@@ -113,11 +113,16 @@ def picture_size(path: Path, name: str | None = None) -> tuple[int, int]:
 
 def picture_is_whole(path: Path, size: tuple[int, int]) -> bool:
     """Return whether ``path`` is a picture of that size with nothing cut off, without decoding it."""
+    header = picture_header(path)
+    return header is not None and header.fits(size)
+
+
+def picture_header(path: Path) -> Header | None:
+    """Return what a picture file says about itself; None if it is not there or no picture."""
     try:
-        header = read_header(read_bytes(path, MAX_FILE_BYTES))
+        return read_header(read_bytes(path, MAX_FILE_BYTES))
     except ScanstageError:
-        return False
-    return header is not None and header.whole and (header.width, header.height) == tuple(size)
+        return None
 
 
 def write_picture(path: Path, rgb: np.ndarray, alpha: np.ndarray | None = None, *, encoding: str = "linear",

@@ -25,13 +25,15 @@ DONE, BAD_INPUT, INTERRUPTED = 0, 1, 130
 _NEGATIVE = re.compile(r"^-(\d+\.?\d*|\.\d+)e[+-]?\d+$", re.IGNORECASE)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None, cluster: object | None = None) -> int:
     """Run one verb.
 
     Parameters
     ----------
     arguments : sequence of str, optional
         Without the program's name; ``sys.argv``'s if left out.
+    cluster : module, optional
+        What connects to other machines, for ``--scheduler``: a clone has it, the extension does not.
 
     Returns
     -------
@@ -43,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         call = build_parser().parse_args([_NEGATIVE.sub(r" \g<0>", argument) for argument in arguments])
     except SystemExit as end:  # argparse has said why; Blender's own --command wants a number, not an exit
         return int(end.code or 0)
+    call.cluster = cluster
     bar = ProgressBar(quiet=call.quiet)
     try:
         if call.report:

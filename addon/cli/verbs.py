@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from ..errors import ScanstageError
 from ..options import Option
 from ..progress import Progress
 from ..reconstruction.active.patterns import PATTERN_SETS, make_patterns
-from ..reconstruction.methods import DEFAULT_VOXELS, METHODS
+from ..reconstruction.methods import DEFAULT_VOXELS, METHODS, check_spread
 from ..workflow import evaluate_result, reconstruct, reconstruct_options
 from .progress_bar import drain
 from .text import calibration_lines, measure_lines, option_lines, reconstruction_lines
@@ -70,6 +71,7 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     import bpy
 
     from ..results.blend import frame_scene, new_file, save_blend
+    from ..stage.fingerprint import stamp
     from ..stage.readback import plan_of
     from ..stage.staging import build
     from ..stage.survey import survey
@@ -80,6 +82,7 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
     plan = plan_of(bpy.context.scene)
     missed = survey(bpy.context.scene).summary() if call.coverage else {}
     frame_scene(bpy.context.scene)
+    stamp(bpy.context.scene)
     save_blend(call.out)
     return {"file": str(call.out), "frames": len(plan.frames), "cameras": len(plan.cameras), **({"coverage": missed} if missed else {}),
             "lines": [f"{call.out}: {call.preset}, {len(plan.frames)} frames, {len(plan.cameras)} camera(s)",
@@ -89,6 +92,8 @@ def _stage(call: argparse.Namespace, progress: Progress) -> dict:
 def _capture_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE.blend", type=Path, help="a staged scene")
     parser.add_argument("--out", metavar="CAPTURE", required=True, type=Path, help="the capture set; what is there is kept")
+    parser.add_argument("--frames-from", metavar="DIR", type=Path, help="take in the frames that a render farm has written there")
+    _scheduler_argument(parser)
 
 
 def _capture(call: argparse.Namespace, progress: Progress) -> dict:
@@ -96,17 +101,22 @@ def _capture(call: argparse.Namespace, progress: Progress) -> dict:
 
     from ..captures.store import read_capture
     from ..render.capture import capture_frames
+    from ..render.farm import FarmFrames
     from ..results.blend import open_blend
     from ..stage.ownership import find_stage
 
     _no_settings(call, "capture")
+    farm = FarmFrames(call.frames_from) if call.frames_from else None
     open_blend(call.file)
     if find_stage(bpy.context.scene) is None:
         raise ScanstageError(f"{call.file}: scene {bpy.context.scene.name!r} has no stage; make a file with "
                              f"`scanstage stage PRESET --out {call.file}`")
-    drain(capture_frames(bpy.context.scene, call.out), progress)
+    with _workers(call) as workers:
+        renderer = workers.renderer(call.file) if workers else None
+        drain(capture_frames(bpy.context.scene, call.out, farm=farm, renderer=renderer), progress)
     frames = len(read_capture(call.out).frames)
-    return {"capture": str(call.out), "frames": frames, "lines": [f"{call.out}: {frames} frames, all whole"]}
+    return {"capture": str(call.out), "frames": frames, **(farm.report() if farm else {}),
+            "lines": [f"{call.out}: {frames} frames, all whole", *(farm.lines() if farm else ())]}
 
 
 def _import_arguments(parser: argparse.ArgumentParser) -> None:
@@ -172,12 +182,16 @@ def _reconstruct_arguments(parser: argparse.ArgumentParser) -> None:
                         help=f"along the longest side of the bounds (default: {DEFAULT_VOXELS})")
     parser.add_argument("--bounds", metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"), nargs=6, type=float,
                         help="the working volume in the object frame (default: found from the views)")
+    _scheduler_argument(parser)
 
 
 def _reconstruct(call: argparse.Namespace, progress: Progress) -> dict:
     bounds = None if call.bounds is None else np.reshape(call.bounds, (2, 3))
-    report = reconstruct(call.capture, call.method, call.out, voxels=call.voxels, bounds=bounds, options=dict(call.settings),
-                         progress=progress)
+    if call.scheduler:
+        check_spread(call.method)
+    with _workers(call) as workers:
+        report = reconstruct(call.capture, call.method, call.out, voxels=call.voxels, bounds=bounds, options=dict(call.settings),
+                             workers=workers, progress=progress)
     return {**report, "lines": reconstruction_lines(call.out, report)}
 
 
@@ -269,6 +283,19 @@ def _presets(call: argparse.Namespace, progress: Progress) -> dict:
     lines.append(f"objects (--object), or a file ({' '.join(IMPORTERS)}):")
     lines += [f"  {name}: {builtin.description}" for name, builtin in BUILTINS.items()]
     return {"presets": report, "objects": list(BUILTINS), "lines": lines}
+
+
+def _scheduler_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="let a scheduler's workers do it (docs/farms.md); from a clone only")
+
+
+def _workers(call: argparse.Namespace) -> AbstractContextManager:
+    """Return a context manager that gives the workers of a call's scheduler, or None."""
+    if not call.scheduler:
+        return nullcontext()
+    if call.cluster is None:
+        raise ScanstageError("--scheduler: needs dask, which the extension does not bring; use scripts/scanstage.py of a clone")
+    return call.cluster.connect(call.scheduler)
 
 
 def _no_arguments(parser: argparse.ArgumentParser) -> None:

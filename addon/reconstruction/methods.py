@@ -81,6 +81,8 @@ class Method:
     measure : callable, optional
         ``measure(scan, *, progress, **options)``: what the method finds before there is a working volume. ``function`` and
         ``bounds`` then take it as ``measured``.
+    spread : tuple of str
+        The arguments of ``function`` that are functions which other machines can take over. See `reconstruct`.
     """
 
     name: str
@@ -93,14 +95,15 @@ class Method:
     memory: MemoryOf
     cuts_solids: bool = False
     measure: Callable[..., object] | None = None
+    spread: tuple[str, ...] = ()
 
 
 METHODS = {method.name: method for method in (
     Method("visual-hull", "Visual Hull", "The largest shape with the captured silhouettes, carved by an octree",
-           ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds, hull_memory),
+           ("silhouettes",), visual_hull.OPTIONS, visual_hull.visual_hull, visual_hull.working_bounds, hull_memory, spread=("carver",)),
     Method("shadow-carving", "Shadow Carving", "The visual hull, less the hollows that the shadows of an array of lights show to be empty",
            ("silhouettes", "lights"), shadow_carving.OPTIONS, shadow_carving.shadow_carving, shadow_carving.working_bounds,
-           hull_memory),
+           hull_memory, spread=("carver", "judge")),
     Method("polyhedral-hull", "Polyhedral Hull", "The visual hull as a polyhedron, exact for the silhouettes' outlines",
            ("silhouettes",), polyhedral_hull.OPTIONS, polyhedral_hull.polyhedral_hull, polyhedral_hull.working_bounds,
            hull_memory, cuts_solids=True),
@@ -193,7 +196,7 @@ def find_method(name: str) -> Method:
 
 
 def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds: np.ndarray | None = None,
-                options: Mapping[str, Value] | None = None, solids: Solids | None = None,
+                options: Mapping[str, Value] | None = None, solids: Solids | None = None, workers: object | None = None,
                 progress: Progress = silent) -> Reconstruction:
     """Run a method on a scan: carve, extract the surface, colour it, and compare it with the silhouettes.
 
@@ -210,6 +213,8 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
         The method's options.
     solids : Solids, optional
         For methods that cut solids.
+    workers : object, optional
+        Its attributes, by the names in the method's ``spread``, take the places of those functions: with the same results.
 
     Raises
     ------
@@ -221,6 +226,9 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     if entry.cuts_solids and solids is None:
         raise ScanstageError(f"method {method} cuts solids with Blender's solver; run it where Blender is, or give `solids`")
     tools = {"solids": solids} if entry.cuts_solids else {}
+    if workers is not None:
+        check_spread(method)
+        tools |= {name: getattr(workers, name) for name in entry.spread}
     watch, use, measured = Stopwatch(), MemoryUse(), {}
     if entry.measure is not None:
         expected = _expected_memory(entry, scan, scan.bounds if bounds is None else bounds, voxels, values, progress)
@@ -298,6 +306,19 @@ def check_call(method: str, *, voxels: int = DEFAULT_VOXELS, bounds: np.ndarray 
     if bounds is not None:
         _grid(bounds, voxels)
     return values
+
+
+def check_spread(method: str) -> None:
+    """Refuse a method that cannot be spread over workers.
+
+    Raises
+    ------
+    ScanstageError
+        There is no such method, or it works on one machine only.
+    """
+    if not find_method(method).spread:
+        able = ", ".join(entry.name for entry in METHODS.values() if entry.spread)
+        raise ScanstageError(f"--scheduler: method {method} runs on one machine only; those that workers can share are: {able}")
 
 
 def _grid(bounds: np.ndarray, voxels: int) -> VoxelGrid:

@@ -10,27 +10,56 @@ rendered it: a render farm that was given the .blend writes the same names.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ..captures.pictures import picture_header
 from ..captures.schema import Capture, Frame
 from ..captures.store import is_capture, picture_is_whole, read_capture, write_capture
 from ..errors import ScanstageError
 from ..results.ply import read_ply, write_ply
 from ..stage import ownership
-from ..stage.readback import CapturePlan, PlannedFrame, camera_of, plan_of, rigid_motion, staged_objects, truth_mesh, turntable_of
+from ..stage.fingerprint import NOTE, fingerprint
+from ..stage.readback import CapturePlan, camera_of, plan_of, rigid_motion, staged_objects, truth_mesh, turntable_of
+from .farm import FarmFrames
 from .settings import capture_settings, hidden
 
 TRUTH = "truth.ply"
+Renderer = Callable[[Sequence["Shot"], str], Generator[str | None, None, None]]
 _SAME = 1e-6  # metres, pixels and matrix elements: what a plan may differ by and be the same
 
 
+@dataclass(frozen=True)
+class Shot:
+    """One frame that is to be rendered.
+
+    Parameters
+    ----------
+    id : str
+        In the capture set.
+    number : int
+        Of the timeline.
+    path : Path
+        Where its picture is to be.
+    size : (int, int)
+        Of the picture.
+    """
+
+    id: str
+    number: int
+    path: Path
+    size: tuple[int, int]
+
+
 def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool = True,
-                   most: int | None = None) -> Iterator[tuple[float, str]]:
+                   most: int | None = None, farm: FarmFrames | None = None,
+                   renderer: Renderer | None = None) -> Iterator[tuple[float, str]]:
     """Render the scene's plan into a capture set, one picture a step.
 
     Parameters
@@ -43,6 +72,10 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
         Whether whole pictures that are there are kept. A set of another plan is then refused; without it, overwritten.
     most : int, optional
         How many frames are rendered; all that are missing otherwise. The set lists those that it then still lacks.
+    farm : FarmFrames, optional
+        Where frames are that were rendered elsewhere: what of them can be used is taken before anything is rendered.
+    renderer : callable, optional
+        Does what `render_frames` does with the missing frames, elsewhere. Clean plates are rendered here all the same.
 
     Yields
     ------
@@ -53,25 +86,33 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
     Raises
     ------
     ScanstageError
-        The scene has no stage, the folder holds a capture of something else or cannot be written, or a render fails.
+        The scene has no stage, the folder holds a capture of something else or cannot be written, a render fails, or the
+        scene carries no fingerprint by which a farm's frames could be told.
     """
     folder = Path(folder)
     plan = plan_of(scene)
     truth = truth_mesh(scene) if plan.board is None else None
-    planned = _capture(scene, plan)
+    planned, note = _capture(scene, plan), fingerprint(plan, truth)
+    if farm is not None:
+        _check_stamped(scene, farm, note)
     if resume:
         _check_same(folder, planned, truth)
     _make_folders(folder, planned)
     if truth is not None:
         write_ply(folder / TRUTH, *truth, double=True)
     sizes = {frame.id: plan.cameras[frame.camera].size for frame in plan.frames}
-    missing = [frame.id for frame in planned.frames
-               if not (resume and picture_is_whole(folder / frame.image, sizes[frame.id]))]
+    known = _rendered(folder) if resume else set()
+    missing = [frame.id for frame in planned.frames if not (
+        resume and _is_there(folder / frame.image, sizes[frame.id], note, known=frame.id in known))]
     _write(folder, planned, missing)
     try:
-        with capture_settings(scene):
+        if farm is not None:
+            yield from _take_frames(farm, folder, plan, planned, missing, note)
+        with capture_settings(scene, note):
             yield from _render_plates(scene, folder, plan, planned, resume)
-            yield from _render_frames(scene, folder, plan, planned, missing, most)
+        shots = _shots(folder, plan, planned, missing[:most])
+        with closing((renderer or partial(render_frames, scene, check=partial(_check_unmoved, scene, plan)))(shots, note)) as done:
+            yield from _counted(done, len(planned.frames), missing)
     finally:
         _write(folder, planned, missing)
     whole = len(planned.frames) - len(missing)
@@ -102,29 +143,78 @@ def _silhouette(backdrop: str, with_plates: bool) -> str:
     return "chroma" if backdrop == "blue" else "alpha"
 
 
+def _rendered(folder: Path) -> set[str]:
+    """Return the ids of the frames that a set says it has."""
+    if not is_capture(folder):
+        return set()
+    found = read_capture(folder, require_pictures=False)
+    return {frame.id for frame in found.frames}.difference(found.missing)
+
+
+def _is_there(path: Path, size: tuple[int, int], note: str, *, known: bool) -> bool:
+    """Return whether a frame need not be rendered: its picture is whole, and not of another plan, as far as it or the set says."""
+    header = picture_header(path)
+    return header is not None and header.fits(size) and (known or header.texts.get(NOTE, note) == note)
+
+
+def _check_stamped(scene: bpy.types.Scene, farm: FarmFrames, note: str) -> None:
+    if scene.render.stamp_note_text != note:
+        raise ScanstageError(f"scene {scene.name!r}: its plan has changed since it was saved with a fingerprint, or never had one, so the "
+                             f"frames in {farm.folder} cannot be told from those of another plan; stage it again, or save it with the "
+                             "extension enabled, and let the farm render that file")
+
+
+def _take_frames(farm: FarmFrames, folder: Path, plan: CapturePlan, planned: Capture, missing: list[str],
+                 note: str) -> Iterator[tuple[float, str]]:
+    """Copy what a farm has rendered of the missing frames, and take each out of ``missing``."""
+    total, wanted = len(planned.frames), set(missing)
+    for frame, entry in zip(plan.frames, planned.frames, strict=True):
+        if entry.id in wanted and farm.take(frame.number, folder / entry.image, plan.cameras[frame.camera].size, note):
+            missing.remove(entry.id)
+            yield (total - len(missing)) / total, f"taking frame {entry.id} from {farm.folder}"
+
+
 def _write(folder: Path, planned: Capture, missing: list[str]) -> None:
     """Write `capture.json` with what is on disk by now."""
     plates = {camera: image for camera, image in planned.plates.items() if (folder / image).is_file()}
     write_capture(folder, replace(planned, missing=tuple(missing), plates=plates))
 
 
-def _render_frames(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, planned: Capture,
-                   missing: list[str], most: int | None) -> Iterator[tuple[float, str]]:
-    """Render the missing frames, or the first ``most`` of them, and take each out of ``missing`` once it is on disk."""
-    total, wanted = len(planned.frames), set(missing[:most])
+def render_frames(scene: bpy.types.Scene, shots: Sequence[Shot], note: str, check: Callable[[Shot], None] | None = None) -> Iterator[str]:
+    """Render shots with the capture settings; yield the id of each whose picture is on disk.
+
+    ``note`` goes into each file. ``check`` is asked at the frame of each shot whether the scene is still the planned one.
+    """
+    with capture_settings(scene, note):
+        for shot in shots:
+            scene.frame_set(shot.number)
+            if check:
+                check(shot)
+            _render(scene, shot.number, shot.path, shot.size)
+            yield shot.id
+
+
+def _shots(folder: Path, plan: CapturePlan, planned: Capture, wanted: Collection[str]) -> list[Shot]:
+    wanted = set(wanted)
+    return [Shot(entry.id, frame.number, folder / entry.image, plan.cameras[frame.camera].size)
+            for frame, entry in zip(plan.frames, planned.frames, strict=True) if entry.id in wanted]
+
+
+def _counted(done: Iterator[str | None], total: int, missing: list[str]) -> Iterator[tuple[float, str]]:
+    """Take each frame that is done out of ``missing``, and say how far it is."""
+    message = f"{total - len(missing)} of {total} frames are there already" if len(missing) < total else "Waiting for the first frame"
     if len(missing) < total:
-        yield (total - len(missing)) / total, f"{total - len(missing)} of {total} frames are there already"
-    for frame, entry in zip(plan.frames, planned.frames, strict=True):
-        if entry.id in wanted:
-            scene.frame_set(frame.number)
-            _check_unmoved(scene, plan, frame)
-            _render(scene, frame.number, folder / entry.image, plan.cameras[frame.camera].size)
-            missing.remove(entry.id)
-            yield (total - len(missing)) / total, f"frame {entry.id}, {total - len(missing)} of {total}"
+        yield (total - len(missing)) / total, message
+    for id in done:
+        if id is not None:
+            missing.remove(id)
+            message = f"frame {id}, {total - len(missing)} of {total}"
+        yield (total - len(missing)) / total, message
 
 
-def _check_unmoved(scene: bpy.types.Scene, plan: CapturePlan, frame: PlannedFrame) -> None:
+def _check_unmoved(scene: bpy.types.Scene, plan: CapturePlan, shot: Shot) -> None:
     """Refuse to render what the plan no longer describes: in a window, the rig can be moved while it is captured."""
+    frame = next(frame for frame in plan.frames if frame.number == shot.number)
     planned, there = plan.cameras[frame.camera], scene.camera and camera_of(scene, scene.camera)
     if there is None or not all(_close(getattr(there, name), getattr(planned, name)) for name in ("K", "R", "t")) \
             or not _close(rigid_motion(turntable_of(scene)), frame.object_to_world):

@@ -14,12 +14,12 @@ from ..stage.readback import frame_kept
 
 
 @contextmanager
-def capture_settings(scene: bpy.types.Scene) -> Iterator[None]:
+def capture_settings(scene: bpy.types.Scene, note: str = "") -> Iterator[None]:
     """Apply the capture settings; restore every one of them, the output path, frame and camera when the block ends.
 
-    What the stage has decided (samples, resolution, transparency) stays as the scene has it.
+    What the stage has decided (samples, resolution, transparency) stays as the scene has it. ``note`` goes into each file.
     """
-    settings = scene_settings.capture_settings(scene)
+    settings = {**scene_settings.capture_settings(scene), "render.stamp_note_text": note}
     before = scene_settings.snapshot(scene, (*settings, "render.filepath"))
     with frame_kept(scene):
         try:

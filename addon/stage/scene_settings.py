@@ -37,6 +37,8 @@ CAPTURE_SETTINGS: Mapping[str, object] = {
     "render.use_border": False,
     "render.use_crop_to_border": False,
     "render.use_stamp": False,
+    # Not on the picture: in its file, where `fingerprint` lets it say of which plan it is.
+    "render.use_stamp_note": True,
     "render.use_file_extension": True,
     "render.use_overwrite": True,
     "render.use_placeholder": False,
@@ -66,6 +68,7 @@ STAGE_SETTINGS = (
     "cycles.diffuse_bounces",
     "render.film_transparent",
     "render.filepath",
+    "render.stamp_note_text",
     "render.resolution_x",
     "render.resolution_y",
     "render.resolution_percentage",

@@ -12,10 +12,11 @@
 - `calibrating`: the operator that calibrates the devices of a capture set.
 - `panels`: draw, and nothing else.
 - `devices`: projectors and lasers by hand.
+- `saving`: the plan's fingerprint in every saved file.
 - `view_panels`: what is drawn over the 3-D views by `overlays`, in the colours of `coverage`, from what `watching` knows of the rig.
 """
 
-from . import adding, calibrating, devices, gallery, jobs, operators, panels, properties, view_panels
+from . import adding, calibrating, devices, gallery, jobs, operators, panels, properties, saving, view_panels
 
 
 def register() -> None:
@@ -28,12 +29,14 @@ def register() -> None:
     panels.register()
     devices.register()
     adding.register()
+    saving.register()
     view_panels.register()
 
 
 def unregister() -> None:
     """Undo `register`, in reverse."""
     view_panels.unregister()
+    saving.unregister()
     adding.unregister()
     devices.unregister()
     panels.unregister()

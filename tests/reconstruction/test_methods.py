@@ -31,10 +31,13 @@ def scan():
     return Scan(tuple(replace(view, read_image=grey_picture) for view in views))
 
 
+TOOLS = {"progress", "solids"}.union(*(method.spread for method in METHODS.values()))
+
+
 def keywords(function) -> dict:
-    """Return the keyword-only parameters of a function and their defaults, but for its progress and the solver that it may need."""
+    """Return the keyword-only parameters of a function and their defaults, but for its progress and the functions that it may be given."""
     parameters = inspect.signature(function).parameters.values()
-    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in ("progress", "solids")}
+    return {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.name not in TOOLS}
 
 
 # --- the table ---------------------------------------------------------------------------------------------------------------

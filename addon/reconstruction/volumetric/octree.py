@@ -61,7 +61,14 @@ def extent_of(grid: VoxelGrid) -> int:
     return max(-(-n // step) * step for n in grid.shape) * 2
 
 
-def carve(tests: Sequence[SilhouetteTest], grid: VoxelGrid, *, tolerance: int = 0,
+def bricks_of(grid: VoxelGrid, edge: int) -> list[np.ndarray]:
+    """Return (2, 3) boxes of voxels, lower and upper corner, that cover the grid: of ``edge`` voxels a side or little more."""
+    edge = -(-edge // (2 * root_size(grid))) * 2 * root_size(grid)
+    lower = np.stack(np.meshgrid(*(np.arange(0, n, edge) for n in grid.shape), indexing="ij"), -1).reshape(-1, 3)
+    return [np.stack((corner, np.minimum(corner + edge, grid.shape))) for corner in lower]
+
+
+def carve(tests: Sequence[SilhouetteTest], grid: VoxelGrid, *, tolerance: int = 0, brick: np.ndarray | None = None,
           progress: Progress = silent) -> tuple[SparseVolume, Counts]:
     """Keep the voxels that no more than ``tolerance`` views see outside their silhouettes.
 
@@ -75,25 +82,32 @@ def carve(tests: Sequence[SilhouetteTest], grid: VoxelGrid, *, tolerance: int = 
     grid : VoxelGrid
     tolerance : int
         How many views may disagree.
+    brick : (2, 3) int array, optional
+        One of `bricks_of` the grid: only this part of it is carved. Cells know nothing of each other, so that all bricks
+        together are what carving the whole grid gives, bit for bit.
     progress : callable
 
     Returns
     -------
     volume : SparseVolume
+        Of a brick: on the brick's own grid.
     counts : Counts
     """
     size = root_size(grid)
     for test in tests:
         test.prepare(size)
-    axes = (np.arange(0, n, 2 * size, dtype=np.int32) for n in grid.shape)
-    cells = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
-    share = min(1.0, (VOXELS_ACROSS / max(grid.shape)) ** 2)
+    lower, upper = ((0, 0, 0), grid.shape) if brick is None else brick.tolist()
+    cells = np.stack(np.meshgrid(*(np.arange(a, b, 2 * size, dtype=np.int32) for a, b in zip(lower, upper, strict=True)),
+                                 indexing="ij")).reshape(3, -1)
+    corner = np.array(lower, np.int32)[:, None]
+    part_grid = VoxelGrid(grid.origin + grid.voxel_size * corner[:, 0], grid.voxel_size, tuple(np.subtract(upper, lower).tolist()))
+    share = min(1.0, (VOXELS_ACROSS / max(part_grid.shape)) ** 2)
     parts = np.array_split(cells, min(cells.shape[1], round(1 / share)), axis=1)
-    store, counts = _BrickStore(grid), Counts(alone=np.zeros(len(tests), int))
+    store, counts = _BrickStore(part_grid), Counts(alone=np.zeros(len(tests), int))
     for done, part in enumerate(parts):
         progress(done / len(parts), "Carving")
         kept, found = _carve_part(tests, grid, part, size, tolerance)
-        store.add(kept)
+        store.add([(size, cells - corner, children) for size, cells, children in kept])
         counts.add(found)
     return store.volume(), counts
 

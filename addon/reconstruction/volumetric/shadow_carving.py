@@ -14,7 +14,7 @@ holds the object whole, which the next round relies on.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -27,9 +27,10 @@ from ...progress import Progress, part_of, silent
 from ..arrays import sorted_unique
 from ..geometry import Camera, Light, VoxelGrid
 from ..outcome import Outcome, VoxelLayer
-from ..scan import Scan, View
+from ..scan import LitPicture, Scan, View
 from . import visual_hull as hull
 from .light_image import free_depth, freed_points, wholly_free
+from .octree import Counts
 from .surface import Surface, extract_surface
 from .virtual_light import SeenSurface, VirtualLight, distant, grown
 from .volume import SparseVolume
@@ -59,8 +60,18 @@ def working_bounds(scan: Scan, *, tolerance: int, outside: str, **_: Value) -> n
     return hull.working_bounds(scan, rule="conservative", tolerance=tolerance, outside=outside)
 
 
+Removals = Iterator[tuple[int, str, np.ndarray]]
+"""The number of a view, a light's id and the (n, 3) voxels that these two remove and no earlier ones did."""
+
+
+def judge_views(volume: SparseVolume, views: Sequence[View], *, strict: bool, removed: np.ndarray | None, progress: Progress) -> Removals:
+    """Yield what one round removes from a volume; ``removed`` (n, 3) is what the last round did."""
+    yield from Sight.of(volume, strict=strict, removed=removed).removals(views, progress)
+
+
 def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", rounds: int = 8, tolerance: int = 0,
-                   outside: str = "unknown", progress: Progress = silent) -> Outcome:
+                   outside: str = "unknown", carver: Callable[..., tuple[SparseVolume, Counts]] = hull.carve_silhouettes,
+                   judge: Callable[..., Removals] = judge_views, progress: Progress = silent) -> Outcome:
     """Carve the visual hull of a scan, then what its shadows prove to be empty.
 
     Parameters
@@ -73,6 +84,8 @@ def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", 
         The most rounds over all views and lights.
     tolerance, outside
         Of the hull, see `visual_hull.visual_hull`.
+    carver, judge : callable
+        Do what `visual_hull.carve_silhouettes` and `judge_views` do, elsewhere.
 
     Returns
     -------
@@ -88,16 +101,16 @@ def shadow_carving(scan: Scan, grid: VoxelGrid, *, shadow_rule: str = "strict", 
         that cannot be used, or no shadow is seen.
     """
     check_lights(scan)
-    found = hull.visual_hull(scan, grid, rule="conservative", tolerance=tolerance, outside=outside, progress=part_of(progress, 0, 0.1))
+    found = hull.visual_hull(scan, grid, rule="conservative", tolerance=tolerance, outside=outside, carver=carver,
+                            progress=part_of(progress, 0, 0.1))
     lights = list(dict.fromkeys(lit.light_id for view in scan.views for lit in view.lit))
-    virtual = virtual_lights(scan.views, found.volume)
     volume, done, pictures = found.volume, [], {}
     for number in range(rounds):
         share = 0.1 + 0.9 * (1 - 0.5 ** number)  # most is done in the first rounds, and how many there will be is not known
-        sight = Sight.of(volume, virtual, strict=shadow_rule == "strict", removed=done[-1].voxels if done else None)
-        removals = list(sight.removals(scan.views, part_of(progress, share, (share + 1) / 2)))
+        what = {"strict": shadow_rule == "strict", "removed": done[-1].voxels if done else None}
+        removals = list(judge(volume, scan.views, **what, progress=part_of(progress, share, (share + 1) / 2)))
         done.append(_layer(removals, number, lights))
-        pictures = pictures or sight.pictures(scan.views)
+        pictures = pictures or Sight.of(volume, **what).pictures(scan.views)
         volume = volume.without(done[-1].voxels)
         if not len(done[-1].voxels):
             break
@@ -152,19 +165,6 @@ def _warnings(scan: Scan) -> list[str]:
     return warnings
 
 
-def virtual_lights(views: Sequence[View], volume: SparseVolume) -> dict[str, VirtualLight]:
-    """Return, by the names of the pictures under single lights, these lights as they look at a volume and at all within it.
-
-    Raises
-    ------
-    ScanstageError
-        A light stands inside the volume's box, or too near it.
-    """
-    box = _box(volume)
-    return {picture.name: VirtualLight.of(_position(picture.light, box), box, volume.grid.voxel_size, picture.light_id)
-            for view in views for picture in view.lit}
-
-
 @dataclass(frozen=True)
 class Sight:
     """A volume as cameras and lights see it for one round.
@@ -172,8 +172,6 @@ class Sight:
     Parameters
     ----------
     volume : SparseVolume
-    lights : mapping of str to VirtualLight
-        From `virtual_lights`.
     surface : Surface
         Of the volume.
     centres : (s, 3) array
@@ -186,7 +184,6 @@ class Sight:
     """
 
     volume: SparseVolume
-    lights: Mapping[str, VirtualLight]
     surface: Surface
     centres: np.ndarray
     entries: np.ndarray
@@ -194,7 +191,7 @@ class Sight:
     strict: bool
 
     @classmethod
-    def of(cls, volume: SparseVolume, lights: Mapping[str, VirtualLight], *, strict: bool, removed: np.ndarray | None = None) -> Sight:
+    def of(cls, volume: SparseVolume, *, strict: bool, removed: np.ndarray | None = None) -> Sight:
         """Look at a volume, from which the voxels ``removed`` (n, 3) are gone since the last round."""
         grid = volume.grid
         surface = extract_surface(volume)
@@ -202,10 +199,10 @@ class Sight:
         if removed is not None:
             beside = np.concatenate([_flat(removed + step, grid) for step in _BESIDE])
             entries = np.flatnonzero(np.isin(_flat(surface.voxels, grid), beside))
-        return cls(volume, lights, surface, grid.centres(surface.voxels), entries, _box(volume), strict)
+        return cls(volume, surface, grid.centres(surface.voxels), entries, _box(volume), strict)
 
-    def removals(self, views: Sequence[View], progress: Progress) -> Iterator[tuple[int, str, np.ndarray]]:
-        """Yield the number of a view, a light's id and the (n, 3) voxels that no earlier ones removed."""
+    def removals(self, views: Sequence[View], progress: Progress) -> Removals:
+        """Yield what each view and light removes that no earlier ones did."""
         remaining = self.volume
         for number, view in enumerate(views):
             progress(number / len(views), f"Carving by the shadows of frame {view.name}")
@@ -232,9 +229,13 @@ class Sight:
             here = entries[near & grown(shadow, _AROUND).take(pixels)]
             if len(here):
                 centres = self.centres.take(here, axis=0)
-                light = self.lights[picture.name].at(centres)
+                light = self.virtual(picture).at(centres)
                 lit = SeenSurface.about(self.surface, grid, light, centres)
                 yield picture.light_id, light, lit, free_depth(seen, lit, shadow, here, grid.voxel_size, strict=self.strict)
+
+    def virtual(self, picture: LitPicture) -> VirtualLight:
+        """Return the light of a picture as it looks at all of the volume."""
+        return VirtualLight.of(_position(picture.light, self.box), self.box, self.volume.grid.voxel_size, picture.light_id)
 
     def _entries_in(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the entries that lie in a camera's picture, rows of the surface's voxels, their flat pixels and their depths."""
@@ -254,7 +255,7 @@ class Sight:
     def pictures(self, views: Sequence[View]) -> dict[str, np.ndarray]:
         """Return the virtual light images of the first view with lights, to be looked at."""
         view = next(view for view in views if view.lit)
-        lights = {picture.light_id: self.lights[picture.name].camera for picture in view.lit}
+        lights = {picture.light_id: self.virtual(picture).camera for picture in view.lit}
         found = {}
         for light_id, light, lit, free in islice(self.free_depths(view), _MOST_PICTURES):
             seen = SeenSurface.of(self.surface, self.volume.grid, lights[light_id])

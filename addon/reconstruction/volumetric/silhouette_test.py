@@ -171,7 +171,7 @@ class SilhouetteTest:
 
         Must be called before `classify_children`, which then only reads.
         """
-        if self.clipped:
+        if self.clipped or largest in self._codes:
             return
         levels = [self.region * 3]  # bit 1: some pixel is inside; bit 0: every pixel is
         size = 1

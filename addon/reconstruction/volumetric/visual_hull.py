@@ -9,7 +9,7 @@ silhouettes cover it. Concavities that no line of sight misses stay filled: that
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -67,8 +67,26 @@ def working_bounds(scan: Scan, *, rule: str, tolerance: int, outside: str) -> np
     return bounds_from_silhouettes([silhouettes[i] for i in order], tolerance=tolerance, unknown_outside=outside == "unknown")
 
 
+def carve_silhouettes(silhouettes: Sequence[Silhouette], grid: VoxelGrid, *, rule: str, tolerance: int, outside: str,
+                      progress: Progress = silent) -> tuple[SparseVolume, Counts]:
+    """Carve a grid by silhouettes in the order given. See `visual_hull` for the options and `octree.carve` for what is returned."""
+    tests = silhouette_tests(silhouettes, grid, rule=rule, outside=outside, progress=part_of(progress, 0.0, 0.2))
+    return carve(tests, grid, tolerance=tolerance, progress=part_of(progress, 0.2, 1.0))
+
+
+def silhouette_tests(silhouettes: Sequence[Silhouette], grid: VoxelGrid, *, rule: str, outside: str,
+                     progress: Progress = silent) -> list[SilhouetteTest]:
+    """Return what asks each silhouette about the cells of a grid."""
+    tests = []
+    for step, silhouette in enumerate(silhouettes):
+        tests.append(SilhouetteTest(silhouette.camera, silhouette.inside, grid, extent_of(grid), rule=rule,
+                                    unknown_outside=outside == "unknown"))
+        progress(step / len(silhouettes), "Reading silhouettes")
+    return tests
+
+
 def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tolerance: int = 0, outside: str = "unknown",
-                progress: Progress = silent) -> Outcome:
+                carver: Callable[..., tuple[SparseVolume, Counts]] = carve_silhouettes, progress: Progress = silent) -> Outcome:
     """Carve the visual hull of a scan.
 
     Parameters
@@ -81,6 +99,8 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
         How many views may disagree with a voxel before it is removed.
     outside : {'unknown', 'empty'}
         What lies beyond a picture's border.
+    carver : callable
+        Does what `carve_silhouettes` does, elsewhere.
 
     Returns
     -------
@@ -94,15 +114,11 @@ def visual_hull(scan: Scan, grid: VoxelGrid, *, rule: str = "conservative", tole
     """
     silhouettes = silhouettes_of(scan.views, rule=rule, outside=outside)
     order = spread_order([silhouette.camera for silhouette in silhouettes])
-    tests = []
-    for step, index in enumerate(order):
-        tests.append(SilhouetteTest(silhouettes[index].camera, silhouettes[index].inside, grid, extent_of(grid), rule=rule,
-                                    unknown_outside=outside == "unknown"))
-        progress(0.2 * step / len(order), "Reading silhouettes")
-    volume, counts = carve(tests, grid, tolerance=tolerance, progress=part_of(progress, 0.2, 1.0))
+    volume, counts = carver([silhouettes[index] for index in order], grid, rule=rule, tolerance=tolerance, outside=outside,
+                            progress=progress)
     names = [scan.views[index].name for index in order]
     _refuse_empty(volume, counts, names)
-    dense = grid.count * len(tests)
+    dense = grid.count * len(order)
     return Outcome(volume, {"counts": {"tests": counts.tests, "tests_dense": dense},
                             "warnings": capture_warnings(scan) + (_undersampled(scan, grid) if rule == "conservative" else [])})
 

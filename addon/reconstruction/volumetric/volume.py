@@ -8,7 +8,7 @@ At 1024^3 a reconstructed object has some 40,000 mixed bricks: 20 MB, where a de
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +73,21 @@ class SparseVolume:
             bricks.append(cells[mixed])
             total += len(bricks[-1])
         return cls(grid, brick_map, np.concatenate(bricks))
+
+    @classmethod
+    def joined(cls, grid: VoxelGrid, parts: Iterable[tuple[np.ndarray, SparseVolume]]) -> SparseVolume:
+        """Put together volumes of parts of the grid, each with its lower corner in voxels: multiples of 8. What no part covers is empty."""
+        brick_map, bricks, total = np.full(brick_counts(grid), EMPTY, np.int32), [np.zeros((0, BRICK, BRICK, BRICK), bool)], 0
+        for corner, part in parts:
+            at = np.asarray(corner) // BRICK
+            rows = np.where(part.brick_map >= 0, part.brick_map + total, part.brick_map)
+            brick_map[tuple(slice(a, a + n) for a, n in zip(at, rows.shape, strict=True))] = rows
+            bricks.append(part.bricks)
+            total += len(part.bricks)
+        mixed = brick_map >= 0  # rows in the order of the map, whatever the order of the parts
+        order = brick_map[mixed]
+        brick_map[mixed] = np.arange(len(order), dtype=np.int32)
+        return cls(grid, brick_map, np.concatenate(bricks)[order])
 
     def slabs(self) -> Iterator[np.ndarray]:
         """Yield the dense volume in slabs of 8 layers in x: (8 or fewer, ny, nz) bool."""

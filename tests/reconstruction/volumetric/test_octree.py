@@ -12,6 +12,7 @@ from addon.reconstruction.geometry import VoxelGrid
 from addon.reconstruction.volumetric import octree
 from addon.reconstruction.volumetric.octree import carve, extent_of
 from addon.reconstruction.volumetric.silhouette_test import SilhouetteTest, grid_projection
+from addon.reconstruction.volumetric.volume import SparseVolume
 from tests.rigs import Ball, camera_at, ring, silhouette
 
 
@@ -168,3 +169,22 @@ def test_footprint_holds_the_projected_cube_and_little_more():
     # The bound takes the nearest depth of the cube for all corners and, instead of its spread, the chord:
     # at most a tenth wider, a twentieth of a voxel.
     assert (half < 1.15 * needed).all()
+
+
+@pytest.mark.parametrize("rule", ["conservative", "center"])
+@pytest.mark.parametrize(("bounds", "voxels"), [(((-1, -1, -0.9), (1, 0.93, 1)), 61), (((-0.3, -0.7, -0.6), (0.7, 0.7, 0.9)), 150)])
+def test_bricks_in_any_order_are_the_whole_bit_for_bit(rule, bounds, voxels):
+    cameras, grid = ring(7), VoxelGrid.from_bounds(*bounds, voxels)
+    shapes = [Ball((0.1, 0, 0), 0.6), Ball((-0.3, 0.3, 0.4), 0.3)]
+    tests = prepared(cameras, [silhouette(c, shapes) for c in cameras], grid, rule)
+    whole, counts = carve(tests, grid, tolerance=1)
+    bricks = octree.bricks_of(grid, 16)
+    assert len(bricks) > 8 and sum(np.prod(upper - lower) for lower, upper in bricks) == grid.count
+    parts = [(brick[0], *carve(tests, grid, tolerance=1, brick=brick)) for brick in reversed(bricks)]
+    for _, part, _ in parts:
+        assert max(part.grid.shape) <= 32
+    joined = SparseVolume.joined(grid, ((corner, part) for corner, part, _ in parts))
+    np.testing.assert_array_equal(joined.brick_map, whole.brick_map)
+    np.testing.assert_array_equal(joined.bricks, whole.bricks)
+    assert sum(found.tests for _, _, found in parts) == counts.tests
+    np.testing.assert_array_equal(sum(found.alone for _, _, found in parts), counts.alone)
