@@ -6,7 +6,6 @@
     python3 scripts/figures.py photographs     two sets of photographs: how well the hull fits their masks
     python3 scripts/figures.py structured-light  Gray code, phase and laser, simulated, and one real scan
     python3 scripts/figures.py calibration     camera, projector and turntable, rendered (minutes), and photographs of a board
-    python3 scripts/figures.py desk-shadow     the shadow of a stick on a desk, simulated, and a photographed bowl
     python3 scripts/figures.py                 the first two
 
     python3 scripts/figures.py held-back       methods of colour: what a camera that took no part sees (minutes)
@@ -21,9 +20,10 @@
     python3 scripts/figures.py probability     all three
     python3 scripts/figures.py dents           shadow carving: the dented sphere at 24 views and 4 lights (minutes)
     python3 scripts/figures.py lecture         4 to 72 views and 1 to 8 lights (minutes)
+    python3 scripts/figures.py lecture-fine    72 views and 8 lights in large pictures and fine voxels (half an hour)
     python3 scripts/figures.py pit             how far the pot's pit is opened from 25, 45 and 60 degrees (minutes)
     python3 scripts/figures.py adversities     lost shadows, dark paint, a glaze, lights that are not where they are said to be
-    python3 scripts/figures.py shadows         all four
+    python3 scripts/figures.py shadows         all five
     python3 scripts/figures.py stripes         coloured stripes, simulated: edges matched, a rod in front, seven pictures
     python3 scripts/figures.py dynamic-programming    how fast scanlines are matched
     python3 scripts/figures.py speckle         a depth sensor before walls at 0.5 to 5 m

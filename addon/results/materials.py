@@ -39,7 +39,7 @@ def clay_material() -> bpy.types.Material:
 
 
 def ink_material() -> bpy.types.Material:
-    """Return the dark material of labels, the same under any light."""
+    """Return the grey material of labels, the same under any light."""
     return _named("Scanstage Ink", _build_ink)
 
 
@@ -125,7 +125,7 @@ def _build_clay(tree: bpy.types.NodeTree) -> None:
 
 def _build_ink(tree: bpy.types.NodeTree) -> None:
     shader = tree.nodes.new("ShaderNodeEmission")
-    shader.inputs["Color"].default_value = (0.02, 0.02, 0.025, 1.0)
+    shader.inputs["Color"].default_value = (0.22, 0.22, 0.23, 1.0)  # to be read on the studio's light floor and in the dark viewport
     _finish(tree, shader)
 
 

@@ -40,8 +40,8 @@ OPTIONS = (
     Option("rule", "center", "When a voxel is outside the hull of the silhouettes, in which the work begins", choices=RULES),
     Option("prior", 0.65, "Probability that a voxel of the hull is occupied, before any colours are compared; voxels that no picture "
                          "tells about keep it", minimum=0.05, maximum=0.95),
-    Option("noise", 0.02, "Standard deviation of the camera's noise, as a share of white", minimum=0.001, maximum=0.5),
-    Option("independence", 0.3, "How much of each picture's evidence counts: at 1 the pictures' errors are taken to have nothing in "
+    Option("noise", 0.02, "Standard deviation of the camera's noise in a pixel, as a share of white", minimum=0.001, maximum=0.5),
+    Option("independence", 0.2, "How much of each picture's evidence counts: at 1 the pictures' errors are taken to have nothing in "
                                 "common, which makes too sure of everything", minimum=0.01, maximum=1.0),
     Option("passes", 16, "How often visibility and colours are estimated anew, at most", minimum=1, maximum=100),
     Option("least_probability", 0.5, "A voxel that is less probable is not in the volume; can be changed afterwards", minimum=0.0,
@@ -115,7 +115,7 @@ def probabilistic_bounds(scan: Scan, *, rule: str, **options) -> np.ndarray:
 
 
 def probabilistic_carving(scan: Scan, grid: VoxelGrid, *, rule: str = "center", prior: float = 0.65, noise: float = 0.02,
-                          independence: float = 0.3, passes: int = 16, least_probability: float = 0.5,
+                          independence: float = 0.2, passes: int = 16, least_probability: float = 0.5,
                           progress: Progress = silent) -> Outcome:
     """Estimate the probability that voxels of the visual hull are occupied.
 
@@ -144,12 +144,14 @@ def probabilistic_carving(scan: Scan, grid: VoxelGrid, *, rule: str = "center", 
         raise ScanstageError(f"the capture has {len(scan.views)} view(s): colours can only be compared between two or more; capture more")
     hull = visual_hull(scan, grid, rule=rule, outside="unknown", progress=part_of(progress, 0.0, 0.1))
     pictures = Pictures.of(scan.views, grid, part_of(progress, 0.1, 0.2))
-    population = Population.of(pictures.rgba[pictures.rgba[:, 3] > 0, :3], noise)
+    # A pixel of a reduced picture is the mean of several, which have less noise together.
+    noises = noise * np.array([reduced.K[0, 0] / view.camera.K[0, 0] for reduced, view in zip(pictures.cameras, scan.views, strict=True)])
+    population = Population.of(pictures.rgba[pictures.rgba[:, 3] > 0, :3], float(noises.mean()))
     shell = _Shell(hull.volume)
     belief = Belief.of(shell.grow(), prior, len(scan.views))
     for number in range(1, passes + 1):
         before = belief.occupancy
-        _ask(belief, pictures, population, prior, noise=noise, independence=independence, voxel_size=grid.voxel_size,
+        _ask(belief, pictures, population, prior, noises=noises, independence=independence, voxel_size=grid.voxel_size,
              progress=part_of(progress, 0.2 + 0.8 * (number - 1) / passes, 0.2 + 0.8 * number / passes))
         grown = shell.grow(belief.voxels[belief.occupancy < 0.5])
         # The first pass only learns the colours.
@@ -206,9 +208,9 @@ class _Shell:
         return (bricks[place] * BRICK + np.stack(np.unravel_index(cell, (BRICK,) * 3), axis=-1)).astype(np.int32)
 
 
-def _ask(belief: Belief, pictures: Pictures, population: Population, prior: float, *, noise: float, independence: float,
+def _ask(belief: Belief, pictures: Pictures, population: Population, prior: float, *, noises: np.ndarray, independence: float,
          voxel_size: float, progress: Progress) -> None:
-    """Ask all pictures about the voxels, and renew everything that is believed of them."""
+    """Ask all pictures, whose noise has the standard deviations (v,), about the voxels, and renew everything that is believed of them."""
     odds = np.full(len(belief.voxels), np.log(prior / (1 - prior)))
     moments = np.zeros_like(belief.moments)
     belief.visibility[:] = 0
@@ -217,7 +219,7 @@ def _ask(belief: Belief, pictures: Pictures, population: Population, prior: floa
         progress(number / len(pictures.cameras), "Estimating probabilities")
         for rows, pixels, first in _rays(pictures, number, points, voxel_size):
             sample = Evidence(pictures.rgba[pixels, :3].astype(np.float64),
-                              _FOOTPRINT * pictures.spread[pixels, :3].mean(axis=1, dtype=np.float64) + noise ** 2,
+                              _FOOTPRINT * pictures.spread[pixels, :3].mean(axis=1, dtype=np.float64) + noises[number] ** 2,
                               belief.weights[number, rows].astype(np.float64))
             density = densities(sample, belief.moments[rows], population)
             anything = population.density(sample.rgb, sample.variance)

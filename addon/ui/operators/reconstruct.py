@@ -141,6 +141,9 @@ class SCANSTAGE_OT_export(ExportHelper, bpy.types.Operator):
         return {'FINISHED'}
 
 
+_EFFORT = ("tests", "tests_dense")  # counts of the work, not of the result: the report has them
+
+
 def _read(folder: Path, progress) -> results.Result:
     progress(0.95, "Reading the result")
     return results.read_result(folder)
@@ -150,7 +153,8 @@ def summary(report: dict) -> list[str]:
     """Return what a panel shows of a reconstruction, one fact a line."""
     counts, iou = report["counts"], report["silhouette_iou"]["mean"]
     lines = [f"{counts['occupied']:,} voxels, {counts['quads']:,} faces", f"{sum(report['seconds'].values()):.1f} s"]
-    lines += [f"{name.replace('_', ' ').capitalize()}: {count:,}" for name, count in counts.items() if name not in COMMON_COUNTS]
+    lines += [f"{name.replace('_', ' ').capitalize()}: {count:,}" for name, count in counts.items()
+              if name not in (*COMMON_COUNTS, *_EFFORT)]
     return lines + ([f"Silhouettes match to {100 * iou:.1f} %"] if iou else []) + [f"! {w}" for w in report["warnings"]]
 
 
