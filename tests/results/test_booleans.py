@@ -236,6 +236,13 @@ def test_what_cannot_be_used_is_refused_in_a_sentence():
         reconstruct(Scan((view,)), "polyhedral-hull")
 
 
+def test_a_noisy_silhouette_is_refused_with_what_mends_it():
+    views = views_of(ring(3), [Ball((0, 0, 0), 0.5)])
+    noise = np.random.default_rng(0).random(views[0].mask.shape) < 0.01
+    with pytest.raises(ScanstageError, match=r"^frame 0000: its silhouette has \d+ outlines, .* --set remove_specks=20 --set fill_holes=20$"):
+        hull([replace(views[0], mask=views[0].mask ^ noise), *views[1:]])
+
+
 def test_masks_and_their_own_outlines_give_the_same():
     views = views_of(ring(4, size=(120, 90), focal=150), [BALL])
     traced = [replace(view, mask=None, contours=tuple(trace_outlines(silhouette(view.camera, [BALL])))) for view in views]

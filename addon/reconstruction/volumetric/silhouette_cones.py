@@ -23,6 +23,8 @@ from ..undistortion import undistort_pixels
 
 SURE_TOLERANCE = 0.29
 """Pixels by which an outline traced round a mask of `silhouettes.cover_partial_pixels` may be off and still hold the object."""
+MOST_OUTLINES = 200
+"""Of a view; the solver takes minutes for a thousand."""
 _NEAREST = 1e-3  # of the farthest depth: where a cone begins whose camera is inside the volume
 _BEYOND = 1.01  # by which a cone is longer, or begins sooner, than what it has to cut
 
@@ -138,7 +140,11 @@ def background_cone(view: View, box: np.ndarray, *, rule: str, tolerance: float,
         tolerance = 0.0 if view.camera.distorted else min(tolerance, SURE_TOLERANCE)
 
     def loops_of(mask: np.ndarray) -> list[np.ndarray]:
-        return simplify([_undistorted(loop, view) for loop in trace_outlines(mask)], tolerance)
+        loops = trace_outlines(mask)
+        if len(loops) > MOST_OUTLINES:
+            raise ScanstageError(f"frame {view.name}: its silhouette has {len(loops)} outlines, which is noise, and a polyhedron would be cut "
+                                 "along each; leave out the small ones with --set remove_specks=20 --set fill_holes=20")
+        return simplify([_undistorted(loop, view) for loop in loops], tolerance)
 
     if view.contours is not None:
         window, contours = None, [_undistorted(loop, view) for loop in _checked_contours(view)]
