@@ -70,8 +70,8 @@ def is_found(fault: Fault, clone: Path) -> bool:
     try:
         tests = [TESTS + name for name in fault.tests.split()]
         return subprocess.call([sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests], cwd=clone,
-                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=600) == 1  # some test has failed
-    except subprocess.TimeoutExpired:
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=1800) == 1  # some test has failed
+    except subprocess.TimeoutExpired:  # a loop without an end is noticed
         return True
     finally:
         path.write_text(text)

@@ -118,7 +118,7 @@ def probability_memory(work: Workload) -> float:
 
 def measuring_memory(work: Workload) -> float:
     """Return what the methods take that measure points: the points and depth maps of all views, then voxels of them."""
-    return 8 * work.pixels + (52 + 270 / work.views) * work.inside + 240 * work.faces
+    return 8 * work.pixels + (52 + 270 / max(work.views, 1)) * work.inside + 240 * work.faces
 
 
 @dataclass(frozen=True)

@@ -391,7 +391,7 @@ def test_one_frame_tells_what_the_others_take_and_is_kept(scene, tmp_path):
     assert bpy.ops.scanstage.test_frame() == {'FINISHED'}
     assert settings.capture_state == "2 of 6 frames captured"
     assert bpy.ops.scanstage.capture() == {'FINISHED'}
-    assert settings.capture_state == "6 of 6 frames captured" and settings.capture_pixels == 6 * 120 * 90
+    assert settings.capture_state == "6 of 6 frames captured" and settings.capture_pixels == 6 * 120 * 90 and settings.capture_frames == 6
     assert first.stat().st_mtime_ns == written
 
 
@@ -409,6 +409,9 @@ def test_a_result_is_older_once_a_picture_is_captured_again(captured, tmp_path):
 def test_the_forecast_of_a_reconstruction_follows_the_working_volume(scene):
     settings = scene.scanstage
     assert forecast.reconstruction_cost(settings)[0] == "40 x 40 x 40 voxels at most"
+    for settings.method in METHODS:  # also before anything is captured
+        assert "of memory at most" in forecast.reconstruction_cost(settings)[1]
+    settings.method = "visual-hull"
     settings.use_bounds, settings.bounds_lower, settings.bounds_upper = True, (0, 0, 0), (0.2, 0.1, 0.05)
     assert forecast.reconstruction_cost(settings)[0] == "40 x 20 x 10 voxels at most"
     settings.bounds_upper = (-1, -1, -1)
