@@ -10,6 +10,8 @@
     python3 scripts/benchmark.py              all of them
     python3 scripts/benchmark.py cluster      workers beside one process: volumes and captures (with Blender, and by itself)
 
+    python3 scripts/benchmark.py --write      all of them, and the table into the README
+
 Medians of several runs after a warm-up. Only the ratios mean anything on another machine. It makes an environment of its
 own (without Blender) for the peers, and says which of them were not there.
 """
@@ -21,6 +23,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+BEGIN, END = "<!-- begin: written by scripts/benchmark.py --write -->", "<!-- end: written by scripts/benchmark.py --write -->"
 KERNELS = ("carve", "mesh", "decode", "coloring", "shadows")
 
 
@@ -28,6 +31,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kernel", nargs="?", choices=[*KERNELS, "cluster", "all"], default="all")
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--write", action="store_true", help="put the table into the README")
     parser.add_argument("--alone", metavar="N", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--dense", action="store_true", help=argparse.SUPPRESS)
     call = parser.parse_args()
@@ -38,15 +42,24 @@ def main():
     if importlib.util.find_spec("cv2") is None or importlib.util.find_spec("skimage") is None:
         return run_in_environment()
     load_addon()
-    from benchmarks import carving, coloring, decoding, shadows
+    from benchmarks import carving, coloring, decoding, measuring, shadows
 
     if call.alone:
         return carving.print_alone(call.alone, dense=call.dense)
     compare = {"carve": carving.compare_carving, "mesh": carving.compare_meshing, "decode": decoding.compare_decoding,
                "coloring": coloring.compare_coloring, "shadows": shadows.time_shadows}
+    table = measuring.Comparison()
     for kernel in KERNELS if call.kernel == "all" else (call.kernel,):
-        compare[kernel](call.runs)
+        compare[kernel](call.runs, table)
+    if call.write:
+        write_table(ROOT / "README.md", table.lines)
     return 0
+
+
+def write_table(path, lines):
+    """Put a table between the two marks of a page."""
+    before, rest = path.read_text(encoding="utf-8").split(BEGIN)
+    path.write_text("\n".join((before + BEGIN, "", *lines, "", END + rest.split(END)[1])), encoding="utf-8")
 
 
 def run_in_environment():

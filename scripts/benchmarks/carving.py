@@ -3,35 +3,43 @@
 """The visual hull beside Open3D and a compiled brute force, and voxels to a mesh beside scikit-image's marching cubes."""
 
 import ctypes
-import os
 import subprocess
 import sys
 from pathlib import Path
 
-from .measuring import SIZE, VIEWS, box, carve_ours, compiled, compiler, median_seconds, row, scene
+from .measuring import SIZE, VIEWS, box, carve_ours, compiled, compiler, median_seconds, scene
 
 COMMAND = Path(__file__).resolve().parents[1] / "benchmark.py"
 
 
-def compare_carving(runs):
+def compare_carving(runs, table):
+    """Carve by every program, then at growing sizes in processes of their own."""
     cameras, masks = scene()
-    print(f"Visual hull, {VIEWS} views of {SIZE[0]}x{SIZE[1]}, {os.cpu_count()} processors; medians of {runs}\n")
-    print(f"{'':58} seconds    ratio")
     ours = {}
-    for rule in ("center", "conservative"):
-        for voxels in (256, 512):
-            ours[rule, voxels], volume = median_seconds(lambda v=voxels, r=rule: carve_ours(cameras, masks, box(v), r, dense=True), runs)
-            print(f"{f'Scanstage, {rule}, {voxels}^3, dense result':58} {ours[rule, voxels]:7.3f}")
-    seconds = open3d_seconds(cameras, masks, box(256), max(1, runs // 2))
-    for rule in ("center", "conservative"):
-        row(f"Open3D carve_silhouette, 256^3, to {rule}", seconds, ours[rule, 256])
     for voxels in (256, 512):
-        brute = brute_force_seconds(cameras, masks, box(voxels), max(1, runs // 2))
-        row(f"compiled brute force with early exit, {voxels}^3, to center", brute, ours["center", voxels])
-    print("\nTime and memory of a process of its own")
+        for rule in ("center", "conservative"):
+            ours[rule, voxels], volume = median_seconds(lambda v=voxels, r=rule: carve_ours(cameras, masks, box(v), r, dense=True), runs)
+            table.own(f"visual hull {voxels}^3, {rule}, dense", ours[rule, voxels], unit=a_pair(ours[rule, voxels], voxels))
+        peers = {"plain numpy, all voxels in all views": numpy_seconds,
+                 "compiled brute force with early exit, two threads, the same bits": brute_force_seconds}
+        if voxels == 256:  # one run at 512^3 takes minutes
+            peers["Open3D `carve_silhouette`"] = open3d_seconds
+        for name, seconds_of in peers.items():
+            seconds = seconds_of(cameras, masks, box(voxels), max(1, runs // 2))
+            table.peer(f"{name}, {voxels}^3, to center", seconds, ours["center", voxels], unit=seconds and a_pair(seconds, voxels))
+    before = None
     for arguments in (["512", "--dense"], ["512"], ["1024"], ["2048"]):
-        subprocess.call([sys.executable, COMMAND, "--alone", *arguments])
-    print()
+        answer = subprocess.run([sys.executable, COMMAND, "--alone", *arguments], stdout=subprocess.PIPE, text=True, check=True).stdout
+        seconds, peak = float(answer.split()[0]), answer.split(maxsplit=1)[1].strip()
+        grown = f"{seconds / before:.1f} times that of half the size" if before and len(arguments) == 1 else ""
+        table.own(f"visual hull {arguments[0]}^3, center, {'dense' if len(arguments) > 1 else 'sparse'}, a process of its own", seconds,
+                  unit=a_pair(seconds, int(arguments[0])), memory=peak, ratio=grown)
+        before = seconds if len(arguments) == 1 else None
+
+
+def a_pair(seconds, voxels):
+    """Return in words what a voxel in a view takes."""
+    return f"{1e9 * seconds / (voxels ** 3 * VIEWS):.2g} ns a voxel and view"
 
 
 def print_alone(voxels, *, dense):
@@ -39,9 +47,31 @@ def print_alone(voxels, *, dense):
     cameras, masks = scene()
     carve_ours(cameras, masks, box(64), "center")
     seconds, _ = median_seconds(lambda: carve_ours(cameras, masks, box(voxels), "center", dense=dense), 2)
-    kind = "dense" if dense else "sparse"
-    print(f"{f'Scanstage, center, {voxels}^3, {kind} result':58} {seconds:7.3f}    {own_peak()}", flush=True)
+    print(seconds, own_peak(), flush=True)
     return 0
+
+
+def numpy_seconds(cameras, masks, grid, runs):
+    """Return the time of what the textbooks sketch: every voxel's centre looked up in every mask, a layer at a time."""
+    import numpy as np
+
+    y, z = np.meshgrid(*((np.arange(n) + 0.5) * grid.voxel_size + low for n, low in zip(grid.shape[1:], grid.origin[1:], strict=True)),
+                       indexing="ij")
+
+    def carve():
+        occupancy = np.ones(grid.shape, bool)
+        for number, layer in enumerate(occupancy):
+            x = grid.origin[0] + (number + 0.5) * grid.voxel_size
+            for camera, mask in zip(cameras, masks, strict=True):
+                u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in camera.P)
+                layer &= mask[np.rint(v / w).astype(int), np.rint(u / w).astype(int)]
+        return occupancy
+
+    seconds, occupancy = median_seconds(carve, 1 if grid.shape[0] > 256 else runs)
+    differing = np.count_nonzero(occupancy != carve_ours(cameras, masks, grid, "center", dense=True))
+    if differing > 1e-6 * grid.count:  # a centre on the border of two pixels may go to either
+        raise SystemExit(f"benchmark: plain numpy and the octree differ in {differing} voxels")
+    return seconds
 
 
 def own_peak():
@@ -49,8 +79,8 @@ def own_peak():
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:
-        return "peak not known on this system"
-    return f"peak {int(next(line for line in lines if line.startswith('VmHWM')).split()[1]) / 2 ** 20:.2f} GiB"
+        return "not known on this system"
+    return f"{int(next(line for line in lines if line.startswith('VmHWM')).split()[1]) / 2 ** 20:.2f} GiB"
 
 
 def open3d_seconds(cameras, masks, grid, runs):
@@ -106,16 +136,17 @@ def brute_force_seconds(cameras, masks, grid, runs):
     return seconds
 
 
-def compare_meshing(runs):
+def compare_meshing(runs, table):
+    """Make a mesh with shared vertices of voxels."""
     from skimage.measure import marching_cubes
 
     from addon.reconstruction.volumetric.surface import extract_surface
 
     cameras, masks = scene()
-    print(f"Voxels to a mesh with shared vertices; medians of {runs}\n")
     for voxels in (256, 512):
         volume = carve_ours(cameras, masks, box(voxels), "center")
         ours, surface = median_seconds(lambda v=volume: extract_surface(v), runs)
-        print(f"{f'Scanstage, {voxels}^3, {len(surface.quads):,} quads':58} {ours:7.3f}")
-        dense = volume.dense()
-        row(f"scikit-image marching_cubes, {voxels}^3", median_seconds(lambda d=dense: marching_cubes(d, 0.5), max(1, runs // 2))[0], ours)
+        quads, dense = len(surface.quads), volume.dense()
+        table.own(f"voxels to mesh, {voxels}^3, {quads:,} quads", ours, unit=f"{1e9 * ours / quads:.0f} ns a quad")
+        theirs = median_seconds(lambda d=dense: marching_cubes(d, 0.5), max(1, runs // 2))[0]
+        table.peer(f"scikit-image `marching_cubes`, {voxels}^3", theirs, ours)

@@ -9,7 +9,7 @@ from .measuring import BALLS, SIZE, box, compiled, compiler, median_seconds
 PAPER_VOXELS, PAPER_VIEWS = 197, 21  # 7.6 million voxels: Seitz and Dyer, 1997
 
 
-def compare_coloring(runs):
+def compare_coloring(runs, table):
     """Print what voxel coloring tests and colours at the size of Seitz and Dyer's dinosaur, and how long it takes."""
     import numpy as np
 
@@ -18,14 +18,14 @@ def compare_coloring(runs):
 
     views = painted_scene()
     grid = box(PAPER_VOXELS)
-    print(f"Voxel coloring, {grid.count:,} voxels, {len(views)} views of {SIZE[0]}x{SIZE[1]}, from the box; medians of {runs}\n")
     seconds, found = median_seconds(lambda: voxel_coloring(Scan(views), grid, start="box", consistency="chi-square", noise=0.03), runs)
     counts = found.report["counts"]
     pairs = counts["tested"] * len(views)
-    print(f"tested {counts['tested']:,}, coloured {counts['coloured']:,} in {seconds:.2f} s: {1e9 * seconds / pairs:.1f} ns a voxel "
-          "and view")
+    table.own(f"voxel coloring, {counts['tested']:,} voxels tested in {len(views)} views, {counts['coloured']:,} coloured", seconds,
+              unit=f"{1e9 * seconds / pairs:.1f} ns a voxel and view")
+    name = "compiled projection and gather alone, one thread"
     if compiler() is None:
-        print("compiled projection and gather: not run, there is no compiler")
+        table.peer(name, None, seconds)
         return
     pointer, function = np.ctypeslib.ndpointer, compiled().project_and_gather
     function.restype = ctypes.c_double
@@ -36,8 +36,8 @@ def compare_coloring(runs):
     pictures = np.array([np.dstack((view.read_image(), view.mask)) for view in views], np.float32)
     reference, _ = median_seconds(lambda: function(matrices, pictures, len(views), *SIZE, *grid.shape), runs)
     unit = 1e9 * reference / (grid.count * len(views))
-    print(f"compiled projection and gather, one thread: {unit:.1f} ns a voxel and view; voxel coloring takes "
-          f"{1e9 * seconds / pairs / unit:.1f} x (at most 5)")
+    table.own(name, reference, unit=f"{unit:.1f} ns a voxel and view",
+              ratio=f"voxel coloring takes {1e9 * seconds / pairs / unit:.1f} times it")
 
 
 def painted_scene():

@@ -4,10 +4,10 @@
 
 import time
 
-from .measuring import median_seconds, row
+from .measuring import median_seconds
 
 
-def compare_decoding(runs):
+def compare_decoding(runs, table):
     """Decode columns and rows of two cameras from the same pictures, by both programs, and compare every pixel both accept."""
     import cv2
     import numpy as np
@@ -23,24 +23,25 @@ def compare_decoding(runs):
     def ours(robust=True):
         return [decode_gray(axis, white, black, length=size[0], robust=robust) for axis in pairs * 2]
 
-    oracle = cv2.structured_light.GrayCodePattern.create(*size)
     seconds, decoded = median_seconds(ours, runs)
     simple = median_seconds(lambda: ours(robust=False), runs)[0]
+    for name, own in (("robust", seconds), ("simple", simple)):
+        table.own(f"Gray code, {len(coded)} pictures of {width}x{height}, two cameras, {name}", own,
+                  unit=f"{1e9 * own / (2 * width * height):.0f} ns a pixel")
+    if not hasattr(cv2, "structured_light"):
+        table.peer("OpenCV contrib `GrayCodePattern.decode`", None, seconds)
+        return
+    oracle = cv2.structured_light.GrayCodePattern.create(*size)
     started = time.perf_counter()
     oracle.decode([coded, coded], None, [black, black], [white, white])
     theirs = time.perf_counter() - started
-    print(f"Gray code, {len(coded)} pictures of {width}x{height}, two cameras\n")
-    print(f"{'':58} seconds    ratio")
-    for name, own in (("robust classification", seconds), ("simple thresholding", simple)):
-        print(f"{f'Scanstage, {name}, {1e9 * own / (2 * width * height):.1f} ns a pixel':58} {own:7.3f}")
-    row("OpenCV contrib, GrayCodePattern.decode, one run, to robust", theirs, seconds)
-    row("the same, to simple", theirs, simple)
+    table.peer("OpenCV contrib `GrayCodePattern.decode`, one run, to robust", theirs, seconds)
     compared = same = 0
     for y, x in np.argwhere(decoded[0].valid & decoded[1].valid)[::37]:
         refused, place = oracle.getProjPixel(coded, int(x), int(y))
         compared += not refused
         same += not refused and place == (decoded[0].position[y, x], decoded[1].position[y, x])
-    print(f"\n{same} of {compared} pixels that both accept are the same\n")
+    print(f"{same} of {compared} pixels that both accept are the same")
 
 
 def gray_pictures(size, width, height):

@@ -10,6 +10,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from tables import head, line
+
 ROOT = Path(__file__).resolve().parents[2]
 VIEWS, SIZE = 24, (640, 480)
 BALLS = (((0.0, 0.0, -0.1), 0.55), ((0.45, 0.2, 0.3), 0.3), ((-0.4, -0.3, 0.35), 0.35))
@@ -26,11 +28,33 @@ def median_seconds(function, runs):
     return statistics.median(seconds), result
 
 
-def row(name, seconds, reference):
-    if seconds is None:
-        print(f"{name:58} not run: it is not on this machine")
-    else:
-        print(f"{name:58} {seconds:7.3f} {seconds / reference:7.1f} x")
+class Comparison:
+    """The table that a run prints, line by line, and that the README shows.
+
+    Attributes
+    ----------
+    lines : list of str
+        Markdown.
+    """
+
+    def __init__(self):
+        self.lines = []
+        self._add(*head("", "seconds", "a unit", "ratio", "peak memory"))
+
+    def own(self, name, seconds, *, unit="", memory="", ratio=""):
+        """Add a line of ours."""
+        self._add(line(f"**{name}**", f"{seconds:.3g}", unit, ratio, memory))
+
+    def peer(self, name, seconds, ours, *, unit=""):
+        """Add what a user would pick instead; ``seconds`` is None where that is not on this machine."""
+        if seconds is None:
+            self._add(line(name, "not on this machine", "", "", ""))
+        else:
+            self._add(line(name, f"{seconds:.3g}", unit, f"{seconds / ours:.1f} times longer", ""))
+
+    def _add(self, *lines):
+        print(*lines, sep="\n", flush=True)
+        self.lines += lines
 
 
 def scene():

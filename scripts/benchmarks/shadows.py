@@ -9,25 +9,23 @@ from .measuring import BALLS, SIZE, VIEWS, box, entry, median_seconds, scene
 SHADOW_VOXELS, SHADOW_LIGHTS = 256, 4
 
 
-def time_shadows(runs):
+def time_shadows(runs, table):
     """Print what carving by shadows takes after the hull of the same scan, and how that grows with views and lights."""
     from addon.reconstruction.scan import Scan
     from addon.reconstruction.volumetric.shadow_carving import shadow_carving
     from addon.reconstruction.volumetric.visual_hull import visual_hull
 
     views, grid, runs = shadowed_scene(), box(SHADOW_VOXELS), max(1, runs // 2)
-    print(f"Shadow carving, {SHADOW_VOXELS}^3, views of {SIZE[0]}x{SIZE[1]}, three balls; medians of {runs}\n")
-    print(f"{'':58} seconds    ratio   per view and light")
     for count, lights in ((VIEWS, SHADOW_LIGHTS), (VIEWS // 2, SHADOW_LIGHTS), (VIEWS, SHADOW_LIGHTS // 2)):
         scan = Scan(tuple(replace(view, lit=view.lit[:lights]) for view in views[::VIEWS // count]))
         hull, _ = median_seconds(lambda scan=scan: visual_hull(scan, grid, rule="conservative"), runs)
-        print(f"{f'Scanstage, hull, {count} views':58} {hull:7.3f}")
+        table.own(f"conservative hull {SHADOW_VOXELS}^3, {count} views", hull)
         for rounds, name in ((1, "first round"), (100, "all rounds")):
             both, found = median_seconds(lambda scan=scan, rounds=rounds: shadow_carving(scan, grid, rounds=rounds), runs)
             counts = found.report["counts"]
-            name = f"after it, {name} ({counts['rounds']}), {count} x {lights}: {counts['carved']:,} of {counts['hull']:,} voxels"
-            print(f"{name:58} {both - hull:7.3f} {(both - hull) / hull:7.1f} x {1000 * (both - hull) / count / lights:8.1f} ms")
-    print()
+            after = both - hull
+            table.own(f"carving it by shadows, {name} ({counts['rounds']}), {count} x {lights}", after,
+                      unit=f"{1000 * after / count / lights:.1f} ms a view and light", ratio=f"{after / hull:.1f} times its hull")
 
 
 def shadowed_scene():
