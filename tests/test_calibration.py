@@ -224,7 +224,7 @@ def test_photographs_of_a_board_come_in_and_are_calibrated(tmp_path):
     with pytest.raises(ScanstageError, match="^import board: marker must be a length less than the square's"):
         import_capture("board", tmp_path / "photos", tmp_path / "other", {"board": "charuco", "square": 0.01})
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ScanstageError, match="empty: holds no pictures; give the folder"):
+    with pytest.raises(ScanstageError, match="empty: holds no pictures; put them there"):
         import_capture("board", tmp_path / "empty", tmp_path / "other")
 
 

@@ -252,8 +252,8 @@ def reconstruct(scan: Scan, method: str, *, voxels: int = DEFAULT_VOXELS, bounds
     warnings = list(found.pop("warnings"))
     if bounds is not None or scan.bounds is not None:
         warnings += _clipped(volume)
-    if "tolerance" in values:
-        warnings += suspicion(scan, grid, ious)
+    if "silhouettes" in entry.needs:
+        warnings += suspicion(scan, grid, ious, forgiving="tolerance" in values)
     counts = {"views": len(scan.views), "occupied": volume.count(), "surface": len(surface.voxels), "quads": len(surface.quads),
               "unseen": int(np.count_nonzero(colors.views == 0)), **found.pop("counts", {})}
     report = {

@@ -85,7 +85,7 @@ def test_an_interruption_is_130(reconstruct, monkeypatch, stop):
 
 @pytest.mark.parametrize(("raised", "line"), [
     (ScanstageError("capture.json: frames: is empty"), "capture.json: frames: is empty"),
-    (ScanstageError("a\nb.json: is\r\nodd"), "a b.json: is odd"),
+    (ScanstageError("a\nb.json: is\r\nodd"), "a?b.json: is??odd"),
     (OSError(28, "No space left on device", "/mnt/result.json"),
      "/mnt/result.json: No space left on device; check the disk space and the rights"),
     (OSError("strange"), "the system: strange; check the disk space and the rights"),

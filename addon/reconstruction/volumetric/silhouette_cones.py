@@ -142,8 +142,8 @@ def background_cone(view: View, box: np.ndarray, *, rule: str, tolerance: float,
     def loops_of(mask: np.ndarray) -> list[np.ndarray]:
         loops = trace_outlines(mask)
         if len(loops) > MOST_OUTLINES:
-            raise ScanstageError(f"frame {view.name}: its silhouette has {len(loops)} outlines, which is noise, and a polyhedron would be cut "
-                                 "along each; leave out the small ones with --set remove_specks=20 --set fill_holes=20")
+            raise ScanstageError(f"frame {view.name}: its silhouette has {len(loops)} outlines, which is noise, and a solid would be "
+                                 "cut along each; leave out the small ones with --set remove_specks=20 --set fill_holes=20")
         return simplify([_undistorted(loop, view) for loop in loops], tolerance)
 
     if view.contours is not None:

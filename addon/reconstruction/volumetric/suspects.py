@@ -59,12 +59,16 @@ def suspicious_views(scan: Scan, grid: VoxelGrid, ious: dict[str, float]) -> dic
     return dict(sorted(((name, value) for name, value in covered.items() if value < median - fall), key=lambda item: item[1]))
 
 
-def suspicion(scan: Scan, grid: VoxelGrid, ious: dict[str, float]) -> list[str]:
-    """Return a warning that names the views that contradict the others, if there are any."""
+def suspicion(scan: Scan, grid: VoxelGrid, ious: dict[str, float], *, forgiving: bool) -> list[str]:
+    """Return a warning that names the views that contradict the others, if there are any.
+
+    ``forgiving`` is whether the method has an option by which views may disagree.
+    """
     found = suspicious_views(scan, grid, ious)
     if not found:
         return []
     named = ", ".join(f"{name} ({value:.2f})" for name, value in list(found.items())[:5])
     more = f" and {len(found) - 5} more" if len(found) > 5 else ""
+    tolerance = f", or let {len(found)} views disagree with --set tolerance={len(found)}" if forgiving else ""
     return [f"the silhouettes of {len(found)} of {len(ious)} views do not fit the others' (share in common): frame {named}{more}; correct "
-            f"their masks or poses, leave them out, or let {len(found)} views disagree with --set tolerance={len(found)}"]
+            f"their masks or poses, leave them out{tolerance}"]

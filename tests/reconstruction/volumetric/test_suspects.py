@@ -22,8 +22,8 @@ def views():
     return tuple(replace(view, read_image=lambda: np.full((160, 200, 3), 0.5, np.float32)) for view in found)
 
 
-def warnings_of(views, **options):
-    report = reconstruct(Scan(tuple(views), BOUNDS), "visual-hull", voxels=48, options=options).report
+def warnings_of(views, method="visual-hull", **options):
+    report = reconstruct(Scan(tuple(views), BOUNDS), method, voxels=48, options=options).report
     return [warning for warning in report["warnings"] if "do not fit the others" in warning]
 
 
@@ -38,6 +38,13 @@ def test_another_views_mask_is_named(views, wrong):
     warning, = warnings_of(changed)
     assert f"1 of 36 views do not fit the others' (share in common): frame {views[wrong].name} (" in warning
     assert "tolerance=1" in warning
+
+
+def test_methods_of_colour_name_it_too_and_offer_no_tolerance(views):
+    changed = list(views)
+    changed[5] = replace(views[5], mask=views[18].mask)
+    warning, = warnings_of(changed, "generalized-voxel-coloring")
+    assert f"frame {views[5].name} (" in warning and "tolerance" not in warning
 
 
 def test_a_wrong_pose_is_named(views):
