@@ -119,15 +119,17 @@ def time_captures():
     import numpy as np
     from cluster.frames import Frames
 
+    from addon.cli.progress_bar import muted_stdout
     from addon.render.capture import capture_frames
     from addon.results.blend import new_file, save_blend
     from addon.stage import staging
 
     def capture(name, renderer=None, killed=None):
         start = time.perf_counter()
-        for fraction, _ in capture_frames(bpy.context.scene, folder / name, renderer=renderer):
-            if killed and fraction > 0.1:
-                killed.kill()
+        with muted_stdout():
+            for fraction, _ in capture_frames(bpy.context.scene, folder / name, renderer=renderer):
+                if killed and fraction > 0.1:
+                    killed.kill()
         pictures = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((folder / name / "images").glob("*.png"))]
         return time.perf_counter() - start, pictures
 
@@ -149,7 +151,8 @@ def time_captures():
               f"the .blend {(folder / 'pot.blend').stat().st_size:,}")
         bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 3840, 2160
         start = time.perf_counter()
-        list(capture_frames(bpy.context.scene, folder / "large", most=4))
+        with muted_stdout():
+            list(capture_frames(bpy.context.scene, folder / "large", most=4))
         sizes = [path.stat().st_size for path in (folder / "large" / "images").glob("*.png")]
         print(f"  3840x2160: {(time.perf_counter() - start) / 4:.2f} s and {np.mean(sizes):,.0f} bytes a frame")
 
