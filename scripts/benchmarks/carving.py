@@ -59,12 +59,14 @@ def numpy_seconds(cameras, masks, grid, runs):
                        indexing="ij")
 
     def carve():
-        occupancy = np.ones(grid.shape, bool)
+        occupancy, (width, height) = np.ones(grid.shape, bool), SIZE
+        padded = [np.pad(mask, 1, constant_values=True) for mask in masks]  # beyond the picture nothing is known
         for number, layer in enumerate(occupancy):
             x = grid.origin[0] + (number + 0.5) * grid.voxel_size
-            for camera, mask in zip(cameras, masks, strict=True):
+            for camera, mask in zip(cameras, padded, strict=True):
                 u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in camera.P)
-                layer &= mask[np.rint(v / w).astype(int), np.rint(u / w).astype(int)]
+                column, line = (np.clip(np.rint(value / w).astype(int), -1, side) + 1 for value, side in ((u, width), (v, height)))
+                layer &= mask[line, column]
         return occupancy
 
     seconds, occupancy = median_seconds(carve, 1 if grid.shape[0] > 256 else runs)
