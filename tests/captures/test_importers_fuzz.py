@@ -5,8 +5,6 @@
 
 import os
 import shutil
-import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -18,6 +16,7 @@ from addon.captures.importers.sources import Import
 from addon.captures.store import read_capture, write_capture
 from addon.errors import ScanstageError
 from addon.options import resolve
+from tests.captures.test_pictures import png_claiming
 from tests.sources import SOURCES, write_source
 
 PIECES = ["", "nan", "-Infinity", "1e999", "-1", "0", "9" * 400, "1e-320", "../", "/", "\\", "\0", "\n", " ", "[", "]", "{", "}", "%", "#", ";",
@@ -98,18 +97,12 @@ def test_whole_numbers_that_do_not_fit_32_bits_spoil_nothing_after_them(tmp_path
 # Pictures
 
 
-def huge_png(width, height):
-    """Return a PNG with right checksums that is whole but for the pixels it claims."""
-    chunks = [b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), b"IDAT" + zlib.compress(b"\0" * 100), b"IEND"]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk)) for chunk in chunks)
-
-
 @pytest.mark.parametrize("case", SOURCES)
 def test_pictures_that_claim_to_be_huge_or_nothing_are_refused(tmp_path, case):
     folder = write_source(tmp_path, case)
     for size in ((2 ** 31 - 1, 2 ** 31 - 1), (2 ** 20, 2), (0, 5)):
         for picture in folder.rglob("view_*.png"):
-            picture.write_bytes(huge_png(*size))
+            picture.write_bytes(png_claiming(*size))
         with pytest.raises(ScanstageError, match=r"^view_\d.png: claims \d+x\d+ pixels; use a picture of 1 to"):
             read(tmp_path, case)
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from ...errors import ScanstageError
 from ...reconstruction.geometry import Camera
-from ..fields import MAX_NUMBER
-from .sources import Import, assemble, camera_from, checked_size, find_below, own_file, read_text
+from .sources import Import, assemble, camera_from, checked_size, find_below, own_file, plain_numbers, read_text
 
 MODELS = {"SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"), "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
           "RADIAL": ("f", "cx", "cy", "k1", "k2"), "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2")}
@@ -87,7 +86,7 @@ def _lenses(path: Path) -> Iterator[tuple[str, tuple[np.ndarray, np.ndarray, tup
         if len(words) != 4 + len(names):
             raise ScanstageError(f"{place}: {words[1]} takes {len(names)} parameters ({', '.join(names)}), not {len(words) - 4}; correct "
                                  "it")
-        width, height, *values = _numbers(words[2:], place)
+        width, height, *values = plain_numbers(words[2:], place)
         value = dict(zip(names, values, strict=True))
         K = np.array([[value.get("fx", value.get("f")), 0, value["cx"] - HALF_PIXEL],
                       [0, value.get("fy", value.get("f")), value["cy"] - HALF_PIXEL], [0, 0, 1]])
@@ -111,7 +110,7 @@ def _view(folder: Path, place: str, words: list[str], lenses: dict) -> tuple[Pat
                              "correct it")
     if words[8] not in lenses:
         raise ScanstageError(f"{place}: camera {words[8][:40]!r} is not in cameras.txt; export the model again")
-    values = _numbers(words[1:8], place)
+    values = plain_numbers(words[1:8], place)
     if not np.linalg.norm(values[:4]) > _LEAST_QUATERNION:
         raise ScanstageError(f"{place}: the quaternion is 0; export the model again")
     picture = _picture(folder, words[9], place)
@@ -129,13 +128,3 @@ def _picture(folder: Path, name: str, place: str) -> Path:
     if picture is None:
         raise ScanstageError(f"{place}: the picture {name[:100]!r} is not in a folder images near the model; put it there")
     return picture
-
-
-def _numbers(words: list[str], place: str) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        raise ScanstageError(f"{place}: one of the values is no number; correct it") from None
-    if not (np.abs(values) <= MAX_NUMBER).all():
-        raise ScanstageError(f"{place}: a number is not finite or is too large; correct it")
-    return values

@@ -17,7 +17,7 @@ import numpy as np
 from ...errors import ScanstageError
 from ...options import Option
 from ..fields import MAX_NUMBER
-from .sources import Import, assemble, camera_from, checked_size, find_below, own_file, read_text
+from .sources import Import, assemble, camera_from, checked_size, find_below, own_file, plain_numbers, read_text
 
 MIDDLEBURY_OPTIONS = (
     Option("good_silhouettes", False, "Leave out the pictures that *_good_silhouette_images.txt does not list, whose "
@@ -72,12 +72,7 @@ def _camera(parameters: Path, number: int, words: list[str]) -> tuple[Path, obje
         raise ScanstageError(f"{place} has {len(words)} words where 22 are needed (name, K, R, t); correct it")
     if "/" in words[0]:
         raise ScanstageError(f"{place}: {words[0][:100]!r} is no plain file name; put the picture beside the file")
-    try:
-        values = np.array([float(word) for word in words[1:]])
-    except ValueError:
-        raise ScanstageError(f"{place}: one of the 21 values is no number; correct it") from None
-    if not (np.abs(values) <= MAX_NUMBER).all():
-        raise ScanstageError(f"{place}: a number is not finite or is too large; correct it")
+    values = np.array(plain_numbers(words[1:], place))
     picture = find_below(parameters.parent, words[0], place)
     if picture is None:
         raise ScanstageError(f"{place}: the picture {words[0][:100]!r} is not in {parameters.parent}; put it there")

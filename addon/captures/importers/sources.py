@@ -14,6 +14,7 @@ import numpy as np
 
 from ...errors import ScanstageError
 from ...reconstruction.geometry import MAX_SKEW_OF_ROTATION, Camera
+from ..fields import MAX_NUMBER
 from ..files import inside, read_bytes
 from ..picture_format import SUFFIXES
 from ..pictures import picture_is_whole, picture_size
@@ -110,6 +111,23 @@ def read_text(path: Path) -> str:
         return read_bytes(path, MAX_CALIBRATION_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ScanstageError(f"{path.name}: is not a text file; check that it is the right file") from None
+
+
+def plain_numbers(words: Sequence[str], place: str) -> list[float]:
+    """Return words as finite numbers; ``place`` is where they stand, for error messages.
+
+    Raises
+    ------
+    ScanstageError
+        One is no number, not finite, or too large.
+    """
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        raise ScanstageError(f"{place}: one of the values is no number; correct it") from None
+    if not all(abs(value) <= MAX_NUMBER for value in values):
+        raise ScanstageError(f"{place}: a number is not finite or is too large; correct it")
+    return values
 
 
 def checked_size(picture: Path, place: str) -> tuple[int, int]:

@@ -20,10 +20,9 @@ import numpy as np
 from ...errors import ScanstageError
 from ...options import Option
 from ...reconstruction.geometry import Camera
-from ..fields import MAX_NUMBER
 from .colmap import quaternion_to_rotation
 from .opencv import calibration_file, open_storage
-from .sources import Import, assemble, common_size, find_below, own_file, pictures_in, read_text
+from .sources import Import, assemble, common_size, find_below, own_file, pictures_in, plain_numbers, read_text
 from .turntable import single_camera
 
 TUM_OPTIONS = (
@@ -78,23 +77,13 @@ def _rows(path: Path) -> list[tuple[str, list[str]]]:
     return [(f"{path.name}: line {number}", line.split()) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
 
 
-def _numbers(words: list[str], place: str) -> list[float]:
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        raise ScanstageError(f"{place}: one of the values is no number; correct it") from None
-    if not all(abs(value) <= MAX_NUMBER for value in values):
-        raise ScanstageError(f"{place}: a number is not finite or is too large; correct it")
-    return values
-
-
 def _poses(path: Path) -> np.ndarray:
     """Return the lines (n, 8), sorted by time."""
     rows, places = [], []
     for place, words in _rows(path):
         if len(words) != 8:
             raise ScanstageError(f"{place}: has {len(words)} words where 8 are needed (timestamp tx ty tz qx qy qz qw); correct it")
-        rows.append(_numbers(words, place))
+        rows.append(plain_numbers(words, place))
         places.append(place)
     if not rows:
         raise ScanstageError(f"{path.name}: holds no pose; check that it is the right file")
@@ -120,7 +109,7 @@ def _pictures(path: Path) -> tuple[np.ndarray, list[Path]]:
                 raise ScanstageError(f"{place}: {picture.name} is listed with another timestamp above; leave one out")
         return np.array(list(found.values())), list(found)
     pictures = pictures_in(own_file(folder, _PICTURES) if (folder / _PICTURES).is_dir() else folder)
-    times = [_numbers([picture.stem], f"{picture.name}: the name is not the picture's timestamp and {_LISTED} is not there")[0]
+    times = [plain_numbers([picture.stem], f"{picture.name}: the name is not the picture's timestamp and {_LISTED} is not there")[0]
              for picture in pictures]
     return np.array(times), pictures
 
@@ -139,7 +128,7 @@ def _listed(folder: Path, place: str, words: list[str]) -> tuple[float, Path]:
     picture = find_below(folder, words[1], place)
     if picture is None:
         raise ScanstageError(f"{place}: the picture {words[1][:100]!r} is not in {folder}; put it there")
-    return _numbers(words[:1], place)[0], picture
+    return plain_numbers(words[:1], place)[0], picture
 
 
 def _posed(camera: Camera, quaternion: np.ndarray, centre: np.ndarray) -> Camera:
