@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import islice
 
 import cv2
@@ -235,7 +236,8 @@ class Sight:
 
     def virtual(self, picture: LitPicture) -> VirtualLight:
         """Return the light of a picture as it looks at all of the volume."""
-        return VirtualLight.of(_position(picture.light, self.box), self.box, self.volume.grid.voxel_size, picture.light_id)
+        position = _position(picture.light, self.box)
+        return _virtual_light(tuple(position), tuple(self.box.ravel()), self.volume.grid.voxel_size, picture.light_id)
 
     def _entries_in(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the entries that lie in a camera's picture, rows of the surface's voxels, their flat pixels and their depths."""
@@ -276,6 +278,12 @@ def _box(volume: SparseVolume) -> np.ndarray:
     """Return the (2, 3) corners of the least box round a volume, in the object frame."""
     lower, upper = volume.bounds()
     return volume.grid.origin + volume.grid.voxel_size * np.stack((lower, upper + 1))
+
+
+@lru_cache(maxsize=4096)
+def _virtual_light(position: tuple[float, ...], box: tuple[float, ...], voxel_size: float, name: str) -> VirtualLight:
+    """Return `VirtualLight.of` the same: from round to round the box hardly ever changes."""
+    return VirtualLight.of(np.array(position), np.reshape(box, (2, 3)), voxel_size, name)
 
 
 def _position(light: Light, box: np.ndarray) -> np.ndarray:
