@@ -179,7 +179,8 @@ def test_a_capture_with_a_worker_killed_has_the_pixels_of_home(cluster, staged, 
 def test_without_a_scheduler_one_sentence_and_nothing_written(staged, tmp_path):
     done = scanstage("capture", staged[0], "--out", tmp_path / "out", "--scheduler", NOWHERE, "--quiet")
     assert done.returncode == 1 and done.stdout == ""
-    assert done.stderr.startswith(f"scanstage: error: --scheduler: no scheduler answers at {NOWHERE}") and done.stderr.count("\n") == 1
+    told = [line for line in done.stderr.splitlines() if not line.startswith("could not get a list of mounted")]  # Blender, in a container
+    assert len(told) == 1 and told[0].startswith(f"scanstage: error: --scheduler: no scheduler answers at {NOWHERE}")
     assert not (tmp_path / "out").exists()
 
 
