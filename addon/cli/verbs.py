@@ -24,7 +24,7 @@ from ..captures.importers import import_capture
 from ..captures.pattern_files import write_patterns
 from ..captures.schema import ENCODINGS
 from ..errors import ScanstageError
-from ..options import Option
+from ..options import Option, resolve
 from ..progress import Progress
 from ..reconstruction.active.patterns import PATTERN_SETS, make_patterns
 from ..reconstruction.methods import DEFAULT_VOXELS, METHODS, check_spread
@@ -226,10 +226,12 @@ def _endings() -> str:
 
 
 def _mesh(call: argparse.Namespace, progress: Progress) -> dict:
-    from ..results.export import export_result
+    from ..results.export import EXPORT_OPTIONS, export_result
 
-    faces = export_result(call.result, call.out, dict(call.settings), progress)
-    return {"file": str(call.out), "faces": faces, "lines": [f"{call.out}: {faces} faces"]}
+    settings = dict(call.settings)
+    count = export_result(call.result, call.out, settings, progress)
+    what = "points" if resolve(EXPORT_OPTIONS, settings, "mesh")["points"] else "faces"
+    return {"file": str(call.out), what: count, "lines": [f"{call.out}: {count} {what}"]}
 
 
 def _view_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,11 +24,10 @@ from .active.correspondence import CONTRAST
 from .geometry import VoxelGrid
 from .scan import Scan, View
 from .volumetric.footprints import PIXELS_PER_VOXEL, corners_of, voxel_in_pixels
-from .volumetric.octree import VOXELS_ACROSS, carve, extent_of
+from .volumetric.octree import VOXELS_ACROSS
 from .volumetric.photo_hull import whole_box
-from .volumetric.silhouette_test import SilhouetteTest
 from .volumetric.surface import extract_surface
-from .volumetric.visual_hull import silhouettes_of
+from .volumetric.visual_hull import carve_silhouettes, silhouettes_of
 from .volumetric.volume import BRICK, SparseVolume
 
 _ACROSS = 48  # voxels of the hull that tells the surface
@@ -189,10 +188,8 @@ class Forecast:
 def _coarse_hull(scan: Scan, grid: VoxelGrid, tolerance: int) -> SparseVolume:
     """Return the visual hull in a coarse grid."""
     views = [_reduced(view, grid) for view in scan.views]
-    silhouettes = silhouettes_of(views, rule="center", outside="unknown")
-    tests = [SilhouetteTest(silhouette.camera, silhouette.inside, grid, extent_of(grid), rule="center", unknown_outside=True)
-             for silhouette in silhouettes]
-    return carve(tests, grid, tolerance=tolerance)[0]
+    choice = {"rule": "center", "outside": "unknown"}
+    return carve_silhouettes(silhouettes_of(views, **choice), grid, tolerance=tolerance, **choice)[0]
 
 
 def _reduced(view: View, grid: VoxelGrid) -> View:

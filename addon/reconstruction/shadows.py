@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from ..options import Option, Unit
+from .arrays import grown
 
 SHADOW_OPTIONS = (
     Option("shadow_ratio", 0.02, "How dark a pixel must be, beside its brightness under the brightest light, to lie in shadow: raise it "
@@ -91,7 +92,7 @@ def detect_shadows(lit: Sequence[np.ndarray], reference: np.ndarray, *, shadow_r
         raise ValueError(f"shadows are found for 1 to {MOST_LIGHTS} lights, not {len(lit)}")
     brightest = np.maximum.reduce([_brightness(picture) for picture in (*lit, reference)])
     saturated = np.logical_or.reduce([(picture >= SATURATED).any(axis=2) for picture in (*lit, reference)])
-    decidable = (brightest >= lit_level) & ~_grown(saturated, _HIGHLIGHT_RIM)
+    decidable = (brightest >= lit_level) & ~grown(saturated, _HIGHLIGHT_RIM)
     dtype = next(kind for kind in (np.uint8, np.uint16, np.uint32) if len(lit) <= np.iinfo(kind).bits)
     bits = np.zeros(brightest.shape, dtype)
     for light, picture in enumerate(lit):
@@ -110,10 +111,6 @@ def _all_of_blocks(values: np.ndarray, step: int) -> np.ndarray:
 
 def _brightness(picture: np.ndarray) -> np.ndarray:
     return picture.mean(axis=2, dtype=np.float32)
-
-
-def _grown(mask: np.ndarray, margin: int) -> np.ndarray:
-    return cv2.dilate(mask.astype(np.uint8), np.ones((2 * margin + 1,) * 2, np.uint8)).astype(bool)
 
 
 def _shrunk(mask: np.ndarray, margin: int) -> np.ndarray:

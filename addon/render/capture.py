@@ -26,7 +26,7 @@ from ..errors import ScanstageError
 from ..results.ply import read_ply, write_ply
 from ..stage import ownership
 from ..stage.fingerprint import NOTE, fingerprint
-from ..stage.readback import CapturePlan, camera_of, plan_of, rigid_motion, staged_objects, truth_mesh, turntable_of
+from ..stage.readback import CapturePlan, PlannedFrame, camera_of, plan_of, rigid_motion, staged_objects, truth_mesh, turntable_of
 from .farm import FarmFrames
 from .settings import capture_settings, hidden
 
@@ -110,8 +110,9 @@ def capture_frames(scene: bpy.types.Scene, folder: str | Path, *, resume: bool =
             yield from _take_frames(farm, folder, plan, planned, missing, note)
         with capture_settings(scene, note):
             yield from _render_plates(scene, folder, plan, planned, resume)
-        shots = _shots(folder, plan, planned, missing[:most])
-        with closing((renderer or partial(render_frames, scene, check=partial(_check_unmoved, scene, plan)))(shots, note)) as done:
+        shots, frames = _shots(folder, plan, planned, missing[:most]), {frame.number: frame for frame in plan.frames}
+        here = partial(render_frames, scene, check=partial(_check_unmoved, scene, plan, frames))
+        with closing((renderer or here)(shots, note)) as done:
             yield from _counted(done, len(planned.frames), missing)
     finally:
         _write(folder, planned, missing)
@@ -190,7 +191,7 @@ def render_frames(scene: bpy.types.Scene, shots: Sequence[Shot], note: str, chec
             scene.frame_set(shot.number)
             if check:
                 check(shot)
-            _render(scene, shot.number, shot.path, shot.size)
+            _render(scene, shot.path, shot.size)
             yield shot.id
 
 
@@ -212,9 +213,9 @@ def _counted(done: Iterator[str | None], total: int, missing: list[str]) -> Iter
         yield (total - len(missing)) / total, message
 
 
-def _check_unmoved(scene: bpy.types.Scene, plan: CapturePlan, shot: Shot) -> None:
+def _check_unmoved(scene: bpy.types.Scene, plan: CapturePlan, frames: Mapping[int, PlannedFrame], shot: Shot) -> None:
     """Refuse to render what the plan no longer describes: in a window, the rig can be moved while it is captured."""
-    frame = next(frame for frame in plan.frames if frame.number == shot.number)
+    frame = frames[shot.number]
     planned, there = plan.cameras[frame.camera], scene.camera and camera_of(scene, scene.camera)
     if there is None or not all(_close(getattr(there, name), getattr(planned, name)) for name in ("K", "R", "t")) \
             or not _close(rigid_motion(turntable_of(scene)), frame.object_to_world):
@@ -229,16 +230,16 @@ def _render_plates(scene: bpy.types.Scene, folder: Path, plan: CapturePlan, plan
         if resume and picture_is_whole(folder / image, size):
             continue
         number = next(frame.number for frame in plan.frames if frame.camera == camera)
+        scene.frame_set(number)
         with hidden(staged_objects(scene)):
-            _render(scene, number, folder / image, size)
+            _render(scene, folder / image, size)
         yield 0.0, f"clean plate of {camera}"
 
 
-def _render(scene: bpy.types.Scene, number: int, path: Path, size: tuple[int, int]) -> None:
-    """Render one frame of the timeline to a temporary name in the same folder, then give it its own."""
+def _render(scene: bpy.types.Scene, path: Path, size: tuple[int, int]) -> None:
+    """Render the present frame of the timeline to a temporary name in the same folder, then give it its own."""
     temporary = path.with_name(f".{path.stem}.part.png")
     scene.render.filepath = str(temporary.with_suffix(""))  # Blender adds the ending
-    scene.frame_set(number)
     try:
         bpy.ops.render.render(write_still=True, scene=scene.name)
         if not picture_is_whole(temporary, size):

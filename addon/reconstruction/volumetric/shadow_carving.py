@@ -25,7 +25,7 @@ import numpy as np
 from ...errors import ScanstageError
 from ...options import Option, Value
 from ...progress import Progress, part_of, silent
-from ..arrays import sorted_unique
+from ..arrays import grown, sorted_unique
 from ..geometry import Camera, Light, VoxelGrid
 from ..outcome import Outcome, VoxelLayer
 from ..scan import LitPicture, Scan, View
@@ -33,7 +33,7 @@ from . import visual_hull as hull
 from .light_image import free_depth, freed_points, wholly_free
 from .octree import Counts
 from .surface import Surface, extract_surface
-from .virtual_light import SeenSurface, VirtualLight, distant, grown
+from .virtual_light import SeenSurface, VirtualLight, distant
 from .volume import SparseVolume
 
 OPTIONS = (

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from ...errors import ScanstageError
+from ..arrays import grown
 from ..geometry import Camera, VoxelGrid, look_at
 from .item_buffer import item_buffer
 from .surface import Surface
@@ -128,8 +128,3 @@ class VirtualLight:
 def distant(direction: np.ndarray, box: np.ndarray) -> np.ndarray:
     """Return a (3,) position from which a sun's parallel rays all but come; ``direction`` is that in which it shines."""
     return box.mean(axis=0) - _FARTHEST * np.linalg.norm(box[1] - box[0]) * np.asarray(direction) / np.linalg.norm(direction)
-
-
-def grown(mask: np.ndarray, margin: int) -> np.ndarray:
-    """Return a (height, width) bool mask grown by so many pixels on every side."""
-    return cv2.dilate(mask.view(np.uint8), np.ones((2 * margin + 1,) * 2, np.uint8)).view(bool)
