@@ -267,6 +267,9 @@ def test_stage_capture_reconstruct_evaluate_and_every_ending(run, tmp_path):
         assert (status, out) == (0, f"{tmp_path / f'pot.{ending}'}: {len(read_result(result).surface.quads)} faces\n")
         if ending != "vox":  # Blender reads no voxels
             assert read_mesh(tmp_path / f"pot.{ending}").volume() == pytest.approx(volume, rel=1e-4)  # .obj has six decimals of 0.2 m
+    status, out, _ = run("mesh", result, "--out", tmp_path / "cloud.ply", "--set", "points=true")
+    assert (status, out) == (0, f"{tmp_path / 'cloud.ply'}: {len(read_result(result).surface.voxels)} points\n")
+    (tmp_path / "cloud.ply").unlink()
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
         ["capture", "report.json", "result", "stage.blend", "pot.mtl", *(f"pot.{ending}" for ending in ("ply", "obj", "stl", "glb", "blend", "vox"))])
 
